@@ -244,7 +244,7 @@ const CRATES: &[(&str, Floors)] = &[
         "nodes/bone/algorithms/src",
         &[
             // A name that `lib.rs` hands on is on the floor of its module.
-            &["Refusal", "median", "refusal"],
+            &["Refusal", "median", "product", "refusal"],
             &[
                 "bvh",
                 "downsample",
