@@ -122,7 +122,7 @@ fn no_tag_of_a_patient_and_no_absolute_path_is_in_what_a_run_leaves() {
     let left = files(&out);
     assert!(left.len() >= 4, "{left:?}");
     for file in &left {
-        let text = without_packed(&String::from_utf8_lossy(&fs::read(file).unwrap()));
+        let text = without_packed(&String::from_utf8_lossy(&fs::read(file).unwrap()).replace("<wbr>", ""));
         if let Some(secret) = secrets_in(&text).first() {
             let at = text.find(secret).unwrap();
             let near: String = text[..at].chars().rev().take(60).collect::<Vec<_>>().into_iter().rev().collect();

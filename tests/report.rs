@@ -36,6 +36,49 @@ fn check_page(browser: &mut Browser, page: &Path, n_drawings: usize) {
     }
 }
 
+/// Printed on A4, every cell of every table is within its page, and the pages have the two sizes that this presumes.
+fn check_print(browser: &mut Browser, page: &Path) {
+    browser.open(page);
+    browser.call("Emulation.setEmulatedMedia", json!({ "media": "print" }));
+    let mut n_boxes = 0;
+    // As they are, and of more columns than any of ours.
+    let widen = "for (const table of document.querySelectorAll('table')) for (const row of table.rows) for (let k = row.cells.length; k < 30; k++) \
+                 row.append(row.cells[k % row.cells.length].cloneNode(true))";
+    for change in ["", widen] {
+        browser.evaluate(change);
+        for (of, width_mm) in [("auto", 210.0), ("landscape", 297.0)] {
+            let width = ((width_mm - 2.0 * 12.0) / 25.4 * 96.0_f64).floor();
+            let metrics = json!({ "width": width, "height": 700, "deviceScaleFactor": 1, "mobile": false });
+            browser.call("Emulation.setDeviceMetricsOverride", metrics);
+            let boxes = browser.evaluate(&format!(
+                "[...document.querySelectorAll('.wide')].filter((box) => getComputedStyle(box).page === '{of}').map((box) => {{ \
+                 const beyond = [box, ...box.querySelectorAll('table, caption, th, td')].filter((part) => !part.checkVisibility() || \
+                 part.getBoundingClientRect().width === 0 || part.getBoundingClientRect().right > {width} + 0.5 || \
+                 part.scrollWidth > Math.ceil(part.getBoundingClientRect().width) + 1); \
+                 return [box.querySelectorAll('th').length, beyond.map((part) => part.textContent.slice(0, 60))]; }})"
+            ));
+            for of_box in boxes.as_array().unwrap() {
+                let n_columns = of_box[0].as_u64().unwrap();
+                assert_eq!(of_box[1], json!([]), "beyond a page of {width} pixels, of a table of {n_columns} columns");
+                assert_eq!(n_columns >= 10, of == "landscape", "{n_columns} columns on a page of {width} pixels");
+                n_boxes += 1;
+            }
+        }
+    }
+    let n_tables = browser.evaluate("document.querySelectorAll('table').length").as_u64().unwrap();
+    assert_eq!(n_boxes, 2 * n_tables, "each table is on one of these pages");
+    browser.open(page);
+    let printed = browser.call("Page.printToPDF", json!({ "preferCSSPageSize": true }));
+    let sizes = browser.evaluate(&format!(
+        "[...new Set([...atob('{}').matchAll(/MediaBox ?\\[0 0 ([0-9.]+) ([0-9.]+)\\]/g)].map((of) => of.slice(1).map((side) => \
+         Math.round(side * 25.4 / 72)).join(' ')))].sort()",
+        printed["data"].as_str().unwrap()
+    ));
+    assert_eq!(sizes, json!(["210 297", "297 210"]), "A4, upright and across");
+    browser.call("Emulation.setEmulatedMedia", json!({ "media": "" }));
+    browser.call("Emulation.clearDeviceMetricsOverride", json!({}));
+}
+
 /// The whole page as an image, for people.
 fn screenshot(browser: &mut Browser, to: &Path) {
     let height = browser.evaluate("document.documentElement.scrollHeight").as_f64().unwrap();
@@ -81,6 +124,8 @@ fn the_page_of_a_run_opens_offline_and_its_views_turn_under_the_mouse() {
         return;
     };
     check_page(&mut browser, &page, 5);
+    check_print(&mut browser, &page);
+    browser.open(&page);
     let shown = browser.evaluate("[...document.querySelectorAll('.missing')].map((p) => p.textContent)");
     assert_eq!(shown, json!([]), "everything is recorded by the shipped graph");
     let n_views = browser.evaluate("document.querySelectorAll('.view').length").as_u64().unwrap() as usize;
@@ -119,7 +164,7 @@ fn a_run_that_gives_other_results_when_repeated_is_not_drawn() {
         run["results"]["icp"]["iterations"] = 1.into();
         fs::write(path, run.to_string()).unwrap();
     }
-    let html = fs::read_to_string(report(&out)).unwrap();
+    let html = fs::read_to_string(report(&out)).unwrap().replace("<wbr>", "");
     assert!(html.contains("the repeated run of the frozen graph gives other results"));
     assert!(!html.contains("data-scene"), "no fragment is drawn");
 }
@@ -129,12 +174,12 @@ fn a_wire_that_was_not_recorded_is_named_with_what_to_record() {
     let small = ["--set", "recording.camera.n_points=5000", "--set", "bone.exact=true"];
     let few = [&small[..], &["--set", "record.wires=[\"icp.report\"]"]].concat();
     let ran = run_whole("graphs/fibula.toml", &few);
-    let html = fs::read_to_string(report(ran.dir.path())).unwrap();
+    let html = fs::read_to_string(report(ran.dir.path())).unwrap().replace("<wbr>", "");
     let printed = "the wire to_bone.cloud was not recorded; add &quot;to_bone.cloud&quot; to wires in [record]";
     assert!(html.contains(printed), "{printed}");
     assert!(html.contains("icp.trace was not recorded"));
     let (_dir, bare) = copied_run("graphs/fibula.toml", &["--no-record"]);
-    let html = fs::read_to_string(report(&bare)).unwrap();
+    let html = fs::read_to_string(report(&bare)).unwrap().replace("<wbr>", "");
     assert!(html.contains("the run was not recorded") && html.contains("Results"));
 }
 
@@ -211,7 +256,7 @@ fn the_methods_of_a_sweep_name_the_kinds_that_its_runs_ran() {
     fs::write(&graph, text).unwrap();
     let out = dir.path().join("swept");
     osteoflow().arg("sweep").arg(&graph).arg("--out").arg(&out).assert().success();
-    let html = fs::read_to_string(report(&out)).unwrap();
+    let html = fs::read_to_string(report(&out)).unwrap().replace("<wbr>", "");
     assert!(html.contains("Fine registration: icp.generalized, icp.symmetric."), "the kinds that ran");
     let in_the_graph = html.matches("kind = &quot;icp.point_to_point&quot;").count();
     assert_eq!(html.matches("icp.point_to_point").count(), in_the_graph, "no run had the kind of the base graph");
@@ -230,7 +275,7 @@ fn the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn() 
     for file in ["column-tre_z_mm", "points-tre_true_mm", "scatter-tre_z_mm-gate_mm"] {
         assert!(out.join(format!("figures/{file}.svg")).is_file(), "{file} is missing");
     }
-    let html = fs::read_to_string(&page).unwrap();
+    let html = fs::read_to_string(&page).unwrap().replace("<wbr>", "");
     for word in ["8 runs", "gate_mm, uniform from 4 to 6", "bone &gt; procedure", "point_to_plane", "chen1992", "r = "]
     {
         assert!(html.contains(word), "{word} is missing");
@@ -533,7 +578,8 @@ fn a_report_names_no_folder_and_knows_the_kinds_of_the_plugins_that_the_user_nam
             arguments.extend(plugin.iter().flat_map(|plugin| ["--plugin", plugin.as_str()]));
             let (code, text) = says(&arguments);
             assert_eq!(code, Some(0), "{text}");
-            let page = fs::read_to_string(folder.path(&format!("{out}/report.html"))).unwrap();
+            // Where a word of a table may be wrapped, a path is a path.
+            let page = fs::read_to_string(folder.path(&format!("{out}/report.html"))).unwrap().replace("<wbr>", "");
             let near = page.find(&secret).map(|at| page[at.saturating_sub(200)..at + 100].to_owned());
             assert_eq!(near, None, "{command}");
             assert!(page.contains("one.txt") && page.contains("my.py") && page.contains("g.toml"), "{command}");
@@ -544,7 +590,7 @@ fn a_report_names_no_folder_and_knows_the_kinds_of_the_plugins_that_the_user_nam
         assert!(code == Some(2) && text.contains("your.py"), "{code:?} {text}");
     }
     // The reason of the run that failed names the file of the plugin, by its name alone.
-    let page = fs::read_to_string(folder.path("s/report.html")).unwrap();
+    let page = fs::read_to_string(folder.path("s/report.html")).unwrap().replace("<wbr>", "");
     assert!(page.contains("my.py takes one point"), "the reason is shown");
 }
 
@@ -561,6 +607,7 @@ fn the_page_of_a_sweep_begins_with_its_statistics_and_nothing_runs_out_of_its_bo
          registration = {{ key = \"icp.kind\", values = [\"icp.point_to_plane\", \"icp.point_to_point\"] }}\n\
          depth_noise_mm = {{ key = \"recording.camera.depth_noise_mm\", values = [0.05, 0.2] }}\n\
          [sweep.columns]\ntre_mm = \"metrics.tre_true_mm.mean_abs.norm\"\ntilt_rad = \"metrics.cuts.cuts.plane_1.tilt_rad\"\n\
+         stopped = \"icp.stop_reason\"\n\
          [sweep.points]\ntre_true_mm = {{ from = \"metrics.tre_true_mm.points\" }}\n",
         shipped.display()
     );
@@ -568,7 +615,7 @@ fn the_page_of_a_sweep_begins_with_its_statistics_and_nothing_runs_out_of_its_bo
     let out = dir.path().join("wide");
     osteoflow().arg("sweep").arg(&graph).arg("--out").arg(&out).assert().success();
     let page = report(&out);
-    let html = fs::read_to_string(&page).unwrap();
+    let html = fs::read_to_string(&page).unwrap().replace("<wbr>", "");
     let at = |word: &str| html.find(word).unwrap_or_else(|| panic!("no {word}"));
     let first = [
         "<h2 id=\"statistics\">",
@@ -597,4 +644,24 @@ fn the_page_of_a_sweep_begins_with_its_statistics_and_nothing_runs_out_of_its_bo
          }).map((text) => text.textContent)",
     );
     assert_eq!(cut, json!([]), "labels that run out of their drawing");
+    // A narrow window: a table says that it is wider than its box exactly if it is.
+    let metrics = json!({ "width": 800, "height": 900, "deviceScaleFactor": 1, "mobile": false });
+    browser.call("Emulation.setDeviceMetricsOverride", metrics);
+    browser.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))");
+    let says = browser.evaluate(
+        "[...document.querySelectorAll('.wide')].filter((box) => box.checkVisibility()).map((box) => [box.scrollWidth > box.clientWidth, \
+         getComputedStyle(box, '::before').visibility === 'visible'])",
+    );
+    let says: Vec<[bool; 2]> = serde_json::from_value(says).unwrap();
+    assert!(says.contains(&[true, true]) && says.contains(&[false, false]), "{says:?}");
+    assert!(says.iter().all(|[scrolls, says]| scrolls == says), "{says:?}");
+    check_print(&mut browser, &page);
+    assert!(out.join("figures/difference-1-tre_mm.svg").is_file(), "a figure of the differences");
+    let words = table(&mut browser, "stopped: runs with each word");
+    assert!(words.len() == 5 && words.iter().any(|row| row[2] == "2"), "two runs of each of four settings: {words:?}");
+    let runs = fs::read_to_string(out.join("runs.csv")).unwrap();
+    for (k, word) in words[0].iter().enumerate().skip(3) {
+        let shown: usize = words[1..].iter().map(|row| row[k].parse::<usize>().unwrap()).sum();
+        assert_eq!(shown, runs.lines().filter(|row| row.contains(&format!(",{word},"))).count(), "{word}: {words:?}");
+    }
 }

@@ -146,6 +146,15 @@ impl Series {
     pub(crate) fn unnamed(colour: usize, marks: Vec<Mark>) -> Self {
         Self { name: String::new(), colour, marks }
     }
+
+    /// Values with their tooltips, side by side about the `k`-th category, and a bar at their mean.
+    pub(crate) fn spread(colour: usize, k: usize, values: &[(f64, String)]) -> Self {
+        let (n, at) = (values.len() as f64, k as f64);
+        let mean = values.iter().map(|(value, _)| value).sum::<f64>() / n;
+        let aside = |i: usize| 0.36 * ((i as f64 + 0.5) / n - 0.5);
+        let dots = values.iter().enumerate().map(|(i, (value, tip))| (at + aside(i), *value, tip.clone()));
+        Self::unnamed(colour, vec![Mark::Line(vec![(at - 0.25, mean), (at + 0.25, mean)]), Mark::Dots(dots.collect())])
+    }
 }
 
 /// A chart.

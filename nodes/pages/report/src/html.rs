@@ -287,7 +287,7 @@ impl Page {
         for (k, word) in head.iter().enumerate() {
             let right = rows.iter().any(|row| matches!(row.get(k), Some(Cell::Number(_))));
             let class = if right { " class=\"n\"" } else { "" };
-            let _ = write!(self.body, "<th scope=\"col\"{class}>{}</th>", escape(word.as_ref()));
+            let _ = write!(self.body, "<th scope=\"col\"{class}>{}</th>", self.cell(word.as_ref()));
         }
         self.body.push_str("</tr></thead><tbody>");
         for row in rows {
@@ -297,13 +297,31 @@ impl Page {
                     Cell::Number(value) => {
                         write!(self.body, "<td class=\"n\" title=\"{value}\">{}</td>", number(*value))
                     }
-                    Cell::Word(word) => write!(self.body, "<td>{}</td>", escape(word)),
-                    Cell::Code(word) => write!(self.body, "<td><code>{}</code></td>", escape(word)),
+                    Cell::Word(word) => write!(self.body, "<td>{}</td>", self.cell(word)),
+                    Cell::Code(word) => write!(self.body, "<td><code>{}</code></td>", self.cell(word)),
                 };
             }
             self.body.push_str("</tr>");
         }
         self.body.push_str("</tbody></table></div>\n");
+    }
+
+    /// The text of a cell, whose words may be wrapped after dots, underscores and slashes, and after 16 letters. Paths are hidden
+    /// before, as they are not found any more between these places.
+    fn cell(&self, word: &str) -> String {
+        let (mut out, mut n_letters, mut in_entity, mut previous) = (String::new(), 0, false, ' ');
+        for c in self.paths.hidden(&escape(word)).chars() {
+            out.push(c);
+            in_entity = c == '&' || (in_entity && c != ';');
+            n_letters = if c.is_whitespace() { 0 } else { n_letters + 1 };
+            let separates = n_letters > 3 && "._/".contains(c) && !previous.is_ascii_digit();
+            if !in_entity && (separates || n_letters >= 16) {
+                out.push_str("<wbr>");
+                n_letters = 0;
+            }
+            previous = c;
+        }
+        out
     }
 
     /// A table of rows with different columns.
@@ -367,6 +385,33 @@ fn within_page(svg: &str) -> String {
 mod tests {
     use super::*;
     use serde_json::json;
+
+    #[test]
+    fn long_words_of_a_table_may_be_wrapped_and_neither_numbers_nor_entities_nor_short_words_nor_intervals() {
+        let breakable = |text: &str| Page::default().cell(text);
+        for whole in ["", "plane1", "mm", "12345.678", "point, mean", "\u{2212}0.112345\u{a0}to\u{a0}0.156789"] {
+            assert_eq!(breakable(whole), whole);
+        }
+        assert_eq!(breakable("icp.point_to_plane"), "icp.<wbr>point_<wbr>to_plane");
+        assert_eq!(breakable("Donaudampfschifffahrt"), "Donaudampfschiff<wbr>fahrt");
+        assert_eq!(breakable("Donaudampfsch&fahrt"), "Donaudampfsch&amp;<wbr>fahrt");
+        assert_eq!(breakable("0123456789abcdef0123"), "0123456789abcdef<wbr>0123");
+    }
+
+    #[test]
+    fn a_path_in_a_table_is_hidden_though_it_may_be_wrapped() {
+        let mut page = Page::new("", false);
+        page.hide(Paths::of(
+            &json!({ "file": "/home/jane_doe_1950/her_left_leg/scan.ply" }),
+            std::path::Path::new("run"),
+        ));
+        let path = "/home/jane_doe_1950/her_left_leg/scan.ply";
+        page.table(path, &[path, "b"], &[vec![Cell::word(path), Cell::Code(format!("read {path}"))]]);
+        let (html, _) = page.finish("");
+        let text = html.replace("<wbr>", "");
+        assert!(text.contains("<td>scan.ply</td><td><code>read scan.ply</code>"), "{text}");
+        assert!(!text.contains("jane") && !text.contains("leg"), "{text}");
+    }
 
     #[test]
     fn nothing_in_the_data_ends_its_script() {

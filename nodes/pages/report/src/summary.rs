@@ -6,17 +6,18 @@ mod rows;
 
 pub use crate::degrees::{in_degrees, shown_unit};
 pub use compared::{NoPairs, between, with_holm};
+pub(crate) use compared::{Pairs, pairs};
 pub(crate) use rows::from_to;
 pub use rows::{TableRow, about_few, comparison, statistics, under_heads, units};
 
 use crate::{ReportError, run_folder};
 use osteoflow_engine::{
     run::Answer,
-    sweep::{Column, Done, Folder, Spec, at_path, without_value},
+    sweep::{Column, Done, Factor, Folder, Spec, at_path, without_value},
 };
 use osteoflow_statistics::{StatisticsError, Units};
 use serde_json::{Map, Value, json};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// File name of the summary in a sweep's folder.
 pub const SUMMARY: &str = "summary.json";
@@ -110,10 +111,22 @@ fn unsteady_note(kind: &Value) -> String {
     )
 }
 
-/// The runs by setting: by the values of all varied factors that are not units.
+/// The factors of settings: those with several values that are neither units nor paired with one, such as the file of each bone.
+pub(crate) fn setting_factors(spec: &Spec) -> impl Iterator<Item = &Factor> {
+    let is_unit = |factor: &Factor| spec.units.contains(&factor.name);
+    let labels = |factor: &Factor| factor.levels.iter().map(|level| word(&level.label)).collect::<BTreeSet<_>>();
+    let differ = move |factor: &Factor| labels(factor).len() == factor.levels.len();
+    let with_unit = move |factor: &Factor| {
+        let others = spec.pair.iter().filter(|group| group.contains(&factor.name));
+        let mut others = others.flat_map(|group| spec.factors.iter().filter(|other| group.contains(&other.name)));
+        differ(factor) && others.any(|other| is_unit(other) && differ(other))
+    };
+    spec.factors.iter().filter(move |factor| factor.levels.len() > 1 && !is_unit(factor) && !with_unit(factor))
+}
+
+/// The runs by setting: by the values of the factors of settings.
 pub(crate) fn groups<'a>(spec: &Spec, done: &'a [Done]) -> Vec<(Map<String, Value>, Vec<&'a Done>)> {
-    let varied = spec.factors.iter().filter(|f| f.levels.len() > 1 && !spec.units.contains(&f.name));
-    let names: Vec<_> = varied.map(|factor| factor.name.as_str()).collect();
+    let names: Vec<_> = setting_factors(spec).map(|factor| factor.name.as_str()).collect();
     let mut groups: Vec<(Map<String, Value>, Vec<&Done>)> = Vec::new();
     for run in done {
         let setting: Map<_, _> =
@@ -133,7 +146,7 @@ pub(crate) fn verdicts<'a>(runs: impl Iterator<Item = &'a Done> + Clone) -> Map<
 }
 
 /// The units of these runs; `None` if the sweep has none.
-fn units_of(spec: &Spec, runs: &[&Done]) -> Option<Units> {
+pub(crate) fn units_of(spec: &Spec, runs: &[&Done]) -> Option<Units> {
     let paths: Vec<_> = runs.iter().map(|run| path(spec, run)).collect();
     Units::new(&spec.units, &paths).ok()
 }
@@ -148,7 +161,7 @@ fn path_of_highest(spec: &Spec, run: &Done) -> Vec<String> {
     above.map(|unit| run.value(unit).map(word).unwrap_or_default()).collect()
 }
 
-fn levels(units: &Units) -> Value {
+pub(crate) fn levels(units: &Units) -> Value {
     let names = units.levels().zip(units.n_units());
     names.map(|(name, n)| json!({ "name": name.to_string(), "n": n })).collect()
 }
@@ -235,6 +248,71 @@ mod tests {
             assert_eq!((&of["n"], &of["mean"], &of["max"]), (&3.into(), &2.0.into(), &3.0.into()), "{of}");
         }
         assert_eq!((&tre["share_below"]["n_hits"], &tre["share_below"]["n"]), (&3.into(), &6.into()), "{tre}");
+    }
+
+    #[test]
+    fn words_are_counted_and_of_a_refused_run_only_its_verdict() {
+        let mut spec = spec();
+        for (name, path) in [("answer", "verdict.answer"), ("stopped", "stopped"), ("number", "tre")] {
+            spec.columns.push(Column { name: name.into(), path: path.into() });
+        }
+        let mut done = runs(&[
+            ("complete", Some("trusted"), Some(1.0)),
+            ("complete", Some("trusted"), Some(1.0)),
+            ("complete", Some("doubtful"), None),
+            ("refused", Some("refused"), None),
+            ("failed", None, None),
+        ]);
+        [0, 2, 3].map(|run: usize| done[run].results["stopped"] = "step".into());
+        let group = group::group(&spec, &Map::new(), &done.iter().collect::<Vec<_>>());
+        let expected = json!({ "answer": { "doubtful": 1, "refused": 1, "trusted": 2 }, "stopped": { "step": 2 } });
+        assert_eq!(group["words"], expected);
+    }
+
+    #[test]
+    fn the_file_of_each_bone_makes_no_settings_and_what_several_bones_share_does() {
+        let factor = |name: &str, labels: [&str; 4]| {
+            let levels: Vec<_> = labels.iter().map(|label| json!({ "label": label, "sets": [] })).collect();
+            serde_json::from_value::<Factor>(json!({ "name": name, "levels": levels })).unwrap()
+        };
+        let settings = |units: &[&str], pair: Value, file: [&str; 4], bone: [&str; 4]| -> Vec<String> {
+            let spec = Spec {
+                units: units.iter().map(|unit| (*unit).to_owned()).collect(),
+                pair: serde_json::from_value(pair).unwrap(),
+                factors: vec![factor("bone", bone), factor("file", file), factor("icp", ["a", "b", "c", "d"])],
+                ..spec()
+            };
+            setting_factors(&spec).map(|factor| factor.name.clone()).collect()
+        };
+        let (units, paired) = (["bone", "procedure"], json!([["bone", "file"]]));
+        let (bones, files) = (["1", "2", "3", "4"], ["a.stl", "b.stl", "c.stl", "d.stl"]);
+        assert_eq!(settings(&units, paired.clone(), files, bones), ["icp"]);
+        assert_eq!(settings(&units, json!([]), files, bones), ["file", "icp"], "crossed");
+        assert_eq!(settings(&["procedure"], paired.clone(), files, bones), ["bone", "file", "icp"], "no unit");
+        let sides = ["left", "left", "right", "right"];
+        assert_eq!(settings(&units, paired.clone(), sides, bones), ["file", "icp"], "two bones have one side");
+        assert_eq!(settings(&units, paired, files, sides), ["file", "icp"], "two files of one bone");
+    }
+
+    #[test]
+    fn bones_that_are_paired_with_their_files_are_counted_in_one_setting() {
+        let mut spec = spec();
+        spec.units = vec!["bone".into(), "procedure".into()];
+        spec.pair = vec![vec!["bone".into(), "file".into()]];
+        for (name, labels) in [("bone", ["1", "2"]), ("file", ["a", "b"])] {
+            let levels = labels.map(|label| json!({ "label": label, "sets": [] }));
+            spec.factors.push(serde_json::from_value(json!({ "name": name, "levels": levels })).unwrap());
+        }
+        let mut done = runs(&[("complete", None, Some(1.0)); 4]);
+        for (k, run) in done.iter_mut().enumerate() {
+            run.values.insert("bone".into(), ["1", "2"][k / 2].into());
+            run.values.insert("file".into(), ["a", "b"][k / 2].into());
+        }
+        let groups = groups(&spec, &done);
+        assert_eq!(groups.len(), 1, "one setting");
+        let group = group::group(&spec, &groups[0].0, &groups[0].1);
+        assert_eq!(units(&group["columns"]["tre_mm"]["n_units"]), "2 bones, 4 procedures");
+        assert!(group["columns"]["tre_mm"]["mean_interval"]["low"].is_number(), "{group}");
     }
 
     #[test]

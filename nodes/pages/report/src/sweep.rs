@@ -5,9 +5,7 @@ mod figures;
 mod statistics;
 
 use crate::{
-    Report, ReportError,
-    cell::Cell,
-    citations,
+    Report, ReportError, citations,
     html::Page,
     methods,
     paths::Paths,
@@ -19,7 +17,7 @@ use osteoflow_engine::sweep::{
     Column, Distribution, Done, Factor, Folder, Level, PointValue, Spec, at_path, point_values,
 };
 use osteoflow_node::Registry;
-use serde_json::{Map, Value as Json};
+use serde_json::Value as Json;
 use std::{collections::BTreeMap, path::Path};
 
 /// A sweep to report on.
@@ -53,11 +51,11 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds) -> Result<Report
             page.missing("The table of statistics", "the folder holds no summary.json, which a finished sweep writes")
         }
     }
-    verdicts(&mut page, &sweep);
     page.section("Design");
     page.text(&sweep.design());
     page.section("Figures");
     figures::columns(&mut page, &sweep);
+    figures::differences(&mut page, &sweep);
     figures::points(&mut page, &sweep);
     figures::draws(&mut page, &sweep);
     figures::times(&mut page, &sweep);
@@ -84,12 +82,11 @@ pub fn of_sweep(dir: &Path, registry: &Registry, kinds: &Kinds) -> Result<Report
 }
 
 impl SweepResults {
-    /// The factors that distinguish settings in figures: those with several values that are not units or, if there are none,
-    /// the units.
+    /// The factors that distinguish settings in figures: those of settings or, if there are none, the units.
     fn varied(&self) -> Vec<&Factor> {
-        let varied = || self.spec.factors.iter().filter(|factor| factor.levels.len() > 1);
-        let no_units: Vec<_> = varied().filter(|factor| !self.spec.units.contains(&factor.name)).collect();
-        if no_units.is_empty() { varied().collect() } else { no_units }
+        let no_units: Vec<_> = summary::setting_factors(&self.spec).collect();
+        let is_varied = |factor: &&Factor| factor.levels.len() > 1 && self.spec.units.contains(&factor.name);
+        if no_units.is_empty() { self.spec.factors.iter().filter(is_varied).collect() } else { no_units }
     }
 
     /// The settings in the order of the runs, each with its runs that have results.
@@ -249,29 +246,6 @@ fn distribution(of: &Distribution) -> String {
             format!("one of {}", values.iter().map(label).collect::<Vec<_>>().join(", "))
         }
     }
-}
-
-/// The number of runs with each verdict, under each setting.
-fn verdicts(page: &mut Page, sweep: &SweepResults) {
-    if sweep.runs.iter().all(|run| run.verdict().is_none()) {
-        return;
-    }
-    let groups = summary::groups(&sweep.spec, &sweep.runs);
-    let rows: Vec<_> = groups.iter().map(|(setting, runs)| verdict_row(setting, runs)).collect();
-    page.rows("Verdicts on the results, by setting. Refused results do not enter any figure or statistics.", &rows);
-}
-
-fn verdict_row(setting: &Map<String, Json>, runs: &[&Done]) -> summary::TableRow {
-    let judged = summary::verdicts(runs.iter().copied());
-    let without = runs.iter().filter(|run| run.verdict().is_none()).count();
-    let mut row: summary::TableRow =
-        setting.iter().map(|(name, value)| (name.clone(), Cell::word(word(value)))).collect();
-    row.push(("runs".into(), Cell::of(&runs.len().into())));
-    row.extend(judged.into_iter().map(|(answer, n)| (answer, Cell::of(&n))));
-    if without > 0 {
-        row.push(("not judged".into(), Cell::of(&without.into())));
-    }
-    row
 }
 
 /// A table of the reasons for runs without results.

@@ -258,14 +258,8 @@ fn errors(page: &mut Page, report: &TreReport, name: &str, source: &str) {
     type Component = fn(&TrePoint) -> f64;
     let axes: [(&str, Component); 4] = [("x", |p| p.x), ("y", |p| p.y), ("z", |p| p.z), ("norm", |p| p.norm)];
     let series = axes.iter().enumerate().map(|(k, (_, of))| {
-        let n = report.points.len() as f64;
-        let dots = report.points.iter().enumerate().map(|(i, point)| {
-            let aside = 0.36 * ((i as f64 + 0.5) / n - 0.5);
-            (k as f64 + aside, of(point), format!("{}: {} mm", point.name, number(of(point))))
-        });
-        let mean = report.points.iter().map(of).sum::<f64>() / n;
-        let mean = Mark::Line(vec![(k as f64 - 0.25, mean), (k as f64 + 0.25, mean)]);
-        Series::unnamed(k, vec![mean, Mark::Dots(dots.collect())])
+        let dot = |point: &TrePoint| (of(point), format!("{}: {} mm", point.name, number(of(point))));
+        Series::spread(k, k, &report.points.iter().map(dot).collect::<Vec<_>>())
     });
     let chart = Chart {
         title: format!("Target registration error, {name}"),

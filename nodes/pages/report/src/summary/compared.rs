@@ -21,8 +21,22 @@ pub struct NoPairs {
     shared: String,
 }
 
-/// The comparisons that a sweep asks for: each value of a factor against its reference value.
+/// Pairs of runs that differ in one factor only: of its reference value, and of another.
+pub(crate) struct Pairs<'a> {
+    pub(crate) first: String,
+    pub(crate) second: String,
+    pub(crate) columns: Vec<&'a Column>,
+    pub(crate) runs: Vec<(&'a Done, &'a Done)>,
+    margins: &'a [(String, f64)],
+}
+
+/// The comparisons that a sweep asks for.
 pub(super) fn within(spec: &Spec, done: &[Done]) -> Vec<Value> {
+    with_holm(pairs(spec, done).iter().flat_map(|pairs| compared(spec, pairs)).collect())
+}
+
+/// The pairs that a sweep asks to compare: each value of a factor against its reference value.
+pub(crate) fn pairs<'a>(spec: &'a Spec, done: &'a [Done]) -> Vec<Pairs<'a>> {
     let mut out = Vec::new();
     for Compare { factor: name, to, margins } in &spec.compare {
         let side = |label: &Value| done.iter().filter(|d| d.value(name) == Some(label)).collect();
@@ -38,11 +52,11 @@ pub(super) fn within(spec: &Spec, done: &[Done]) -> Vec<Value> {
             spec.columns.iter().filter(|column| margins.is_empty() || margin(margins, &column.name).is_some());
         let columns: Vec<_> = columns.collect();
         for level in others {
-            let (a, b) = (word(to), word(&level.label));
-            out.extend(compared(spec, &columns, (&a, &base), (&b, &side(&level.label)), &key, margins));
+            let runs = paired(&base, &side(&level.label), &key);
+            out.push(Pairs { first: word(to), second: word(&level.label), columns: columns.clone(), runs, margins });
         }
     }
-    with_holm(out)
+    out
 }
 
 /// Compares the columns of two sweeps under each setting of the first. A pair is a run of each with the same seed and the same
@@ -72,7 +86,8 @@ pub fn between(
     let mut comparisons = Vec::new();
     // The means over units need a single setting.
     for (setting, first) in groups(spec, first) {
-        for mut comparison in compared(spec, &columns, (a, &first), (b, &second), &key, margins) {
+        let (runs, columns) = (paired(&first, &second, &key), columns.clone());
+        for mut comparison in compared(spec, &Pairs { first: a.into(), second: b.into(), columns, runs, margins }) {
             comparison["setting"] = json!(setting);
             comparisons.push(comparison);
         }
@@ -96,17 +111,15 @@ fn twice(done: &[Done], key: &dyn Fn(&Done) -> String) -> Option<usize> {
     done.iter().find(|d| !seen.insert(key(d))).map(|d| d.run)
 }
 
-/// Paired comparisons of two lists of runs, column by column; runs with the same key are a pair.
-fn compared(
-    spec: &Spec,
-    columns: &[&Column],
-    (a, runs_a): (&str, &[&Done]),
-    (b, runs_b): (&str, &[&Done]),
-    key: &dyn Fn(&Done) -> String,
-    margins: &[(String, f64)],
-) -> Vec<Value> {
-    let of_a: BTreeMap<String, &Done> = runs_a.iter().map(|d| (key(d), *d)).collect();
-    let pairs: Vec<_> = runs_b.iter().filter_map(|d| Some((*of_a.get(&key(d))?, *d))).collect();
+/// The runs of two lists that have the same key.
+fn paired<'a>(first: &[&'a Done], second: &[&'a Done], key: &dyn Fn(&Done) -> String) -> Vec<(&'a Done, &'a Done)> {
+    let of_first: BTreeMap<String, &Done> = first.iter().map(|d| (key(d), *d)).collect();
+    second.iter().filter_map(|d| Some((*of_first.get(&key(d))?, *d))).collect()
+}
+
+/// Paired comparisons, column by column.
+fn compared(spec: &Spec, pairs: &Pairs<'_>) -> Vec<Value> {
+    let Pairs { first: a, second: b, columns, runs: pairs, margins } = pairs;
     let mut out = Vec::new();
     for column in columns {
         let with: Vec<_> = pairs.iter().filter_map(|(a, b)| Some((*b, value(a, column)?, value(b, column)?))).collect();

@@ -1,7 +1,7 @@
 //! Statistics of the runs of one setting: of each column, of each axis of the points, and correlations with draws.
 
 use super::{LEVEL, levels, number, or_reason, path, path_of_highest, units_of, value, verdicts};
-use osteoflow_engine::sweep::{Done, Spec, point_values};
+use osteoflow_engine::sweep::{Done, Spec, at_path, point_values};
 use osteoflow_statistics::{
     BootstrapParams, Summary, Units, bootstrap_mean, pearson, plural, repeatability, spearman, wilson_clustered,
 };
@@ -33,8 +33,21 @@ pub(super) fn group(spec: &Spec, setting: &Map<String, Value>, runs: &[&Done]) -
         "setting": setting, "n_runs": runs.len(), "n_without_results": n_without,
         "verdicts": verdicts(runs.iter().copied()),
         "units": units_of(spec, runs).map(|units| levels(&units)),
-        "columns": columns, "points": points(spec, runs), "correlations": correlations(spec, runs),
+        "columns": columns, "words": words(spec, runs),
+        "points": points(spec, runs), "correlations": correlations(spec, runs),
     })
+}
+
+/// The number of runs with each word, by column. A refused run has its verdict only.
+fn words(spec: &Spec, runs: &[&Done]) -> BTreeMap<String, BTreeMap<String, usize>> {
+    let mut counts: BTreeMap<String, BTreeMap<String, usize>> = BTreeMap::new();
+    for (column, run) in spec.columns.iter().flat_map(|column| runs.iter().map(move |run| (column, run))) {
+        let holds = run.is_complete() || column.path.starts_with("verdict.");
+        if let Some(word) = at_path(&run.results, &column.path).and_then(Value::as_str).filter(|_| holds) {
+            *counts.entry(column.name.clone()).or_default().entry(word.to_owned()).or_default() += 1;
+        }
+    }
+    counts
 }
 
 /// Statistics of the points, by measure and axis.

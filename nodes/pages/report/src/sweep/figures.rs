@@ -6,9 +6,10 @@ use crate::{
     degrees::shown_unit,
     format::number,
     html::Page,
+    summary::{self, Pairs, word},
 };
 use osteoflow_engine::sweep::{Column, Distribution, Done, Draw, Factor};
-use osteoflow_statistics::pearson;
+use osteoflow_statistics::{counted, pearson};
 use serde_json::Value as Json;
 
 /// Maximum number of figures of one kind; a note says how many were left out.
@@ -26,7 +27,11 @@ pub(super) fn columns(page: &mut Page, sweep: &SweepResults) {
     let settings = sweep.settings();
     let layout = numeric_factor(sweep).and_then(|factor| Layout::of(sweep, factor, &settings));
     for column in columns.iter().take(MAX_FIGURES) {
-        let n: usize = settings.iter().map(|s| values(s, column).len()).sum();
+        let all: Vec<f64> = settings.iter().flat_map(|setting| values(setting, column)).collect();
+        if all.len() > 1 && all.iter().all(|value| *value == all[0]) {
+            page.text(&format!("{} is {} in each of {} runs.", axis_label(&column.name), number(all[0]), all.len()));
+            continue;
+        }
         let (svg, caption) = match &layout {
             Some(layout) => against(page, column, layout),
             None if settings.len() <= MAX_SETTINGS => side_by_side(page, column, &settings),
@@ -38,7 +43,10 @@ pub(super) fn columns(page: &mut Page, sweep: &SweepResults) {
                 continue;
             }
         };
-        page.figure(&format!("column-{}", column.name), svg, &format!("{caption} n = {n} runs in all."));
+        let with: Vec<_> = sweep.runs.iter().filter(|run| number_of(run, column).is_some()).collect();
+        let of = summary::units_of(&sweep.spec, &with).map_or(Json::Null, |units| summary::levels(&units));
+        let caption = format!("{caption} n = {} runs in all, of {}.", all.len(), summary::units(&of));
+        page.figure(&format!("column-{}", column.name), svg, &caption);
     }
     if columns.len() > MAX_FIGURES {
         page.text(&format!("{} more columns are in runs.csv.", columns.len() - MAX_FIGURES));
@@ -194,7 +202,49 @@ fn side_by_side(page: &Page, column: &Column, settings: &[Setting<'_>]) -> (Stri
         series: marks.collect(),
         note: String::new(),
     };
-    (chart.svg(page.simulated()), format!("{} of each run, by setting.", axis_label(&column.name)))
+    let caption = "by setting: median and quartiles, whiskers to the last run within 1.5 interquartile ranges";
+    (chart.svg(page.simulated()), format!("{} of each run, {caption}.", axis_label(&column.name)))
+}
+
+/// Differences of the pairs of each comparison, by the highest unit.
+pub(super) fn differences(page: &mut Page, sweep: &SweepResults) {
+    let all = summary::pairs(&sweep.spec, &sweep.runs);
+    let all = all.iter().enumerate().flat_map(|(k, pairs)| pairs.columns.iter().map(move |column| (k, pairs, *column)));
+    for (k, pairs, column) in all.take(MAX_FIGURES) {
+        difference(page, sweep, &format!("difference-{}-{}", k + 1, column.name), pairs, column);
+    }
+}
+
+/// A dot for each pair, and a bar for the mean of each unit.
+fn difference(page: &mut Page, sweep: &SweepResults, name: &str, pairs: &Pairs<'_>, column: &Column) {
+    let unit = sweep.spec.units[0].as_str();
+    let mut units: Vec<(String, Vec<(f64, String)>)> = Vec::new();
+    for (first, second) in &pairs.runs {
+        let (Some(a), Some(b)) = (number_of(first, column), number_of(second, column)) else { continue };
+        let of = second.value(unit).map(word).unwrap_or_default();
+        let pair = (b - a, format!("runs {} and {}: {}", first.run, second.run, number(b - a)));
+        match units.iter_mut().find(|(known, _)| *known == of) {
+            Some((_, pairs)) => pairs.push(pair),
+            None => units.push((of, vec![pair])),
+        }
+    }
+    let n = format!("{}, {}", counted(units.len(), unit), counted(units.iter().map(|of| of.1.len()).sum(), "pair"));
+    match units.len() {
+        0 => return,
+        1..=MAX_SETTINGS => {}
+        _ => units = vec![(format!("each {unit}"), units.into_iter().flat_map(|(_, pairs)| pairs).collect())],
+    }
+    let what = format!("{}, {} minus {}", axis_label(&column.name), pairs.second, pairs.first);
+    let chart = Chart {
+        title: what.clone(),
+        about: format!("The difference of each pair of runs in {}, by {unit}.", column.name),
+        x: Axis::Categories { label: unit.to_owned(), names: units.iter().map(|(name, _)| name.clone()).collect() },
+        y: Axis::Linear(format!("difference of {}", axis_label(&column.name))),
+        series: units.iter().enumerate().map(|(k, (_, pairs))| Series::spread(0, k, pairs)).collect(),
+        note: String::new(),
+    };
+    let caption = format!("{what}: a dot is a pair of runs that differ in nothing else, a bar a mean. n = {n}.");
+    page.figure(name, chart.svg(page.simulated()), &caption);
 }
 
 /// The factor's name, if only one is varied.
@@ -432,6 +482,56 @@ mod tests {
         columns(&mut page, &swept(n, sides));
         let svg = page.figures.first().map(|figure| figure.svg.clone()).unwrap_or_default();
         (svg, page.finish("").0)
+    }
+
+    #[test]
+    fn a_column_with_one_value_has_a_sentence_instead_of_a_figure() {
+        let mut sweep = swept(2, 2);
+        sweep.runs.iter_mut().for_each(|run| run.results["tre_mm"] = 7.into());
+        let mut page = Page::new("", true);
+        columns(&mut page, &sweep);
+        assert!(page.figures.is_empty() && page.finish("").0.contains("tre (mm) is 7 in each of 16 runs"));
+        sweep.runs[3].results["tre_mm"] = 8.into();
+        let mut page = Page::new("", true);
+        columns(&mut page, &sweep);
+        assert_eq!(page.figures.len(), 1, "one run differs");
+    }
+
+    #[test]
+    fn differences_are_second_minus_first_of_runs_that_differ_in_nothing_else_by_unit_and_in_degrees() {
+        // Two sides, on 3 units and with 4 numbers each.
+        let mut sweep = swept(3, 2);
+        sweep.spec.units = vec!["stripped".into(), "procedure".into()];
+        sweep.spec.columns[0].name = "tilt_rad".into();
+        let compare = json!({ "factor": "side", "to": "side 1", "margins": [] });
+        sweep.spec.compare = vec![serde_json::from_value(compare).unwrap()];
+        for (k, run) in sweep.runs.iter_mut().enumerate() {
+            // The second is greater by 1, 2 and 3 degrees on the three units, whatever the number.
+            let more = if run.values["side"] == "side 0" { k / 8 + 1 } else { 0 };
+            run.results["tre_mm"] = (10.0 * (k % 4) as f64 + more as f64).to_radians().into();
+        }
+        // A pair without its second run.
+        sweep.runs[0].status = "refused".into();
+        let shown = |sweep: &SweepResults| {
+            let mut page = Page::new("", true);
+            differences(&mut page, sweep);
+            (page.figures.first().map(|figure| (figure.name.clone(), figure.svg.clone())), page.finish("").0)
+        };
+        let (figure, html) = shown(&sweep);
+        let (name, svg) = figure.unwrap();
+        assert_eq!(name, "difference-1-tilt_rad");
+        assert!(html.contains("tilt (\u{b0}), side 0 minus side 1:"), "{html}");
+        assert!(html.contains("n = 3 strippeds, 11 pairs."), "{html}");
+        let dots = svg.split("<circle").skip(1).map(|dot| dot.split(": ").nth(1).unwrap().split('<').next().unwrap());
+        let dots: Vec<f64> = dots.map(|text| text.parse::<f64>().unwrap().round()).collect();
+        assert_eq!(dots, [vec![1.0; 3], vec![2.0; 4], vec![3.0; 4]].concat(), "{svg}");
+        assert_eq!(svg.matches("<path class=\"line c0\"").count(), 3, "a mean for each unit");
+        // More units than an axis can name are pooled, and still counted.
+        let mut many = swept(MAX_SETTINGS + 1, 2);
+        (many.spec.units, many.spec.compare) = (sweep.spec.units.clone(), sweep.spec.compare.clone());
+        let (figure, html) = shown(&many);
+        assert_eq!(figure.unwrap().1.matches("<path class=\"line c0\"").count(), 1);
+        assert!(html.contains("n = 31 strippeds, 124 pairs."), "{html}");
     }
 
     #[test]

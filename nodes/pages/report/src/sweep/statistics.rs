@@ -10,12 +10,16 @@ use crate::{
 use osteoflow_statistics::counted;
 use serde_json::Value as Json;
 
+/// Maximum number of words of a column that are counted in a table.
+const MAX_WORDS: usize = 12;
+const INTERVALS: &str = "Intervals: bootstrap of whole units.";
+
 /// All tables of a summary.
 pub(super) fn tables(page: &mut Page, sweep: &SweepResults, summary: &Json) {
     let comparisons: Vec<_> = summary["comparisons"].as_array().into_iter().flatten().map(compared).collect();
     if !comparisons.is_empty() {
-        let caption = "Second against first, paired: Wilcoxon's signed ranks (effect: rank-biserial), Bland-Altman's limits of \
-                       agreement, equivalence by two one-sided tests.";
+        let caption = "Second against first, paired, over n units: difference is second minus first, p of Wilcoxon's signed ranks \
+                       (two-sided; effect: rank-biserial), Bland-Altman's limits of agreement, equivalence by two one-sided tests.";
         page.rows(caption, &comparisons);
     }
     if let Some(about) = about_few(summary) {
@@ -37,8 +41,40 @@ pub(super) fn tables(page: &mut Page, sweep: &SweepResults, summary: &Json) {
         (axis_label(&measure.name), axes.collect())
     });
     gathered(page, "at the points, signed: n values, and the number of units", groups.len(), points.collect());
+    let verdicts =
+        "Verdicts on the results: runs with each answer. Refused results do not enter any figure or statistics";
+    words(page, verdicts, &groups, |group| &group["verdicts"]);
+    for name in sweep.spec.columns.iter().filter(|column| column.path != "verdict.answer").map(|column| &column.name) {
+        words(page, &format!("{name}: runs with each word"), &groups, |group| &group["words"][name]);
+    }
     for note in summary["notes"].as_array().into_iter().flatten().filter_map(Json::as_str) {
         page.text(note);
+    }
+}
+
+/// The number of runs with each word, by setting.
+fn words<'a>(page: &mut Page, what: &str, groups: &[&'a Json], of: impl Fn(&'a Json) -> &'a Json) {
+    let mut words: Vec<&str> = Vec::new();
+    for (word, _) in groups.iter().filter_map(|group| of(group).as_object()).flatten() {
+        if !words.contains(&word.as_str()) {
+            words.push(word);
+        }
+    }
+    if words.len() > MAX_WORDS {
+        return page.text(&format!("{what}: {} different words, see runs.csv.", words.len()));
+    }
+    let n = |value: &Json| value.as_u64().unwrap_or(0);
+    let cells = |group: &&'a Json| -> Vec<Cell> {
+        let counts = words.iter().map(|word| n(&of(group)[word]));
+        let none = n(&group["n_runs"]).saturating_sub(counts.clone().sum());
+        let numbers = [n(&group["n_runs"])].into_iter().chain(counts).chain([none]).map(|n| Cell::of(&n.into()));
+        settings(&group["setting"]).into_iter().map(|(_, cell)| cell).chain(numbers).collect()
+    };
+    if groups.iter().any(|group| words.iter().any(|word| n(&of(group)[word]) > 0)) {
+        let heads = settings(&groups[0]["setting"]).into_iter().map(|(name, _)| name);
+        let counts = ["runs"].into_iter().chain(words.iter().copied()).chain(["none"]).map(String::from);
+        let rows: Vec<_> = groups.iter().map(cells).collect();
+        page.table(&format!("{what}, by setting."), &heads.chain(counts).collect::<Vec<_>>(), &rows);
     }
 }
 
@@ -58,14 +94,14 @@ fn row(group: &Json, axis: Option<&str>, of: &Json) -> TableRow {
 /// A table for each measure or, with a single setting, one table for all.
 fn gathered(page: &mut Page, what: &str, n_settings: usize, measures: Vec<(String, Vec<TableRow>)>) {
     if n_settings > 1 {
-        measures.into_iter().for_each(|(name, rows)| page.rows(&format!("{name} {what}."), &rows));
+        measures.into_iter().for_each(|(name, rows)| page.rows(&format!("{name} {what}. {INTERVALS}"), &rows));
         return;
     }
     let rows = measures.into_iter().flat_map(|(name, rows)| {
         let measure = ("measure".to_owned(), Cell::word(name));
         rows.into_iter().map(move |row| [measure.clone()].into_iter().chain(row).collect())
     });
-    page.rows(&format!("Statistics {what}."), &rows.collect::<Vec<_>>());
+    page.rows(&format!("Statistics {what}. {INTERVALS}"), &rows.collect::<Vec<_>>());
 }
 
 fn compared(of: &Json) -> TableRow {
@@ -84,6 +120,46 @@ fn settings(of: &Json) -> TableRow {
 mod tests {
     use super::*;
     use serde_json::json;
+
+    #[test]
+    fn words_are_counted_by_setting_with_zeros_and_a_word_may_be_that_of_a_head() {
+        let group = |icp: &str, n_runs: u64, stopped: Json| {
+            json!({
+                "setting": { "icp": icp }, "n_runs": n_runs, "words": { "stopped": stopped },
+                "verdicts": { "trusted": n_runs - 1, "doubtful": 0, "refused": 1 },
+            })
+        };
+        let spec = json!({
+            "repeat": 4, "repeat_name": "procedure", "same_seed": false, "factors": [], "pair": [], "draws": [],
+            "units": ["procedure"], "points": [], "limits": [], "compare": [],
+            "columns": [{ "name": "stopped", "path": "icp.stop_reason" }, { "name": "answer", "path": "verdict.answer" }],
+        });
+        let sweep = SweepResults { spec: serde_json::from_value(spec).unwrap(), about: Json::Null, runs: Vec::new() };
+        let shown = |groups: Json| {
+            let mut page = Page::new("a sweep", false);
+            tables(&mut page, &sweep, &json!({ "groups": groups }));
+            page.finish("").0.replace(" class=\"n\"", "")
+        };
+        let cells = |row: &str, kind: &str| -> Vec<String> {
+            let cells = row.split(&format!("<{kind}")).skip(1);
+            cells.map(|cell| cell.split_once('>').unwrap().1.split("</").next().unwrap().to_owned()).collect()
+        };
+        let html = shown(json!([group("p", 9, json!({ "step": 5, "runs": 2 })), group("q", 4, json!({ "icp": 4 }))]));
+        let table = html.split("<table>").find(|table| table.contains("stopped: runs with each word")).unwrap();
+        let rows: Vec<&str> = table.split("<tr>").skip(1).collect();
+        assert_eq!(cells(rows[0], "th "), ["icp", "runs", "step", "runs", "icp", "none"]);
+        assert_eq!(cells(rows[1], "td"), ["p", "9", "5", "2", "0", "2"]);
+        assert_eq!(cells(rows[2], "td"), ["q", "4", "0", "0", "4", "0"]);
+        let verdicts = html.split("<table>").find(|table| table.contains("Verdicts on the results")).unwrap();
+        let rows: Vec<&str> = verdicts.split("<tr>").skip(1).collect();
+        assert_eq!(cells(rows[0], "th "), ["icp", "runs", "trusted", "doubtful", "refused", "none"]);
+        assert_eq!(cells(rows[1], "td"), ["p", "9", "8", "0", "1", "0"]);
+        let reasons: serde_json::Map<_, _> = (0..13).map(|k| (format!("reason {k}"), 1.into())).collect();
+        let html = shown(json!([group("p", 13, reasons.into())]));
+        assert!(html.contains("13 different words, see runs.csv") && !html.contains("reason 3"), "{html}");
+        let none = json!({ "setting": {}, "n_runs": 2, "verdicts": { "trusted": 0, "doubtful": 0, "refused": 0 } });
+        assert!(!shown(json!([none])).contains("Verdicts"), "nothing was judged");
+    }
 
     #[test]
     fn every_row_has_n_its_units_and_an_interval_or_the_reason_for_none() {
