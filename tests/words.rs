@@ -21,7 +21,7 @@ const BEGIN: [(&str, usize); 8] = [
     ("which-number.md", 1100),
 ];
 /// Maximum number of words of all pages outside of tests/.
-const ALL: usize = 168_000;
+const ALL: usize = 169_000;
 
 /// The text of a page without code blocks, tables, headings, pictures, quotes and comments; a part for each paragraph or item of a list.
 fn paragraphs(page: &str) -> Vec<String> {
