@@ -263,7 +263,9 @@ mod tests {
             ("refused", Some("refused"), None),
             ("failed", None, None),
         ]);
-        [0, 2, 3].map(|run: usize| done[run].results["stopped"] = "step".into());
+        for run in [0, 2, 3] {
+            done[run].results["stopped"] = "step".into();
+        }
         let group = group::group(&spec, &Map::new(), &done.iter().collect::<Vec<_>>());
         let expected = json!({ "answer": { "doubtful": 1, "refused": 1, "trusted": 2 }, "stopped": { "step": 2 } });
         assert_eq!(group["words"], expected);
