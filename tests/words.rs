@@ -11,17 +11,17 @@ const LONG: usize = 32;
 const FOLDER: &str = "docs/begin/";
 /// Maximum number of words of a page of this folder, code and tables included.
 const BEGIN: [(&str, usize); 8] = [
-    ("can-i-trust-it.md", 1150),
-    ("first-week.md", 1850),
+    ("can-i-trust-it.md", 1180),
+    ("first-week.md", 1890),
     ("frames-and-units.md", 2100),
-    ("glossary.md", 2150),
-    ("register.md", 2050),
-    ("viewing.md", 2550),
+    ("glossary.md", 2280),
+    ("register.md", 2090),
+    ("viewing.md", 2590),
     ("when-a-run-fails.md", 2400),
     ("which-number.md", 1100),
 ];
 /// Maximum number of words of all pages outside of tests/.
-const ALL: usize = 169_000;
+const ALL: usize = 170_000;
 
 /// The text of a page without code blocks, tables, headings, pictures, quotes and comments; a part for each paragraph or item of a list.
 fn paragraphs(page: &str) -> Vec<String> {
@@ -169,13 +169,13 @@ fn code_links_tables_and_numbers_end_no_sentence_and_a_long_one_is_seen() {
 fn a_page_that_grows_is_new_or_gone_is_a_fault() {
     let mut pages: BTreeMap<_, _> = BEGIN.map(|(name, n)| (format!("{FOLDER}{name}"), n)).into();
     assert!(faults(&pages).is_empty());
-    pages.insert(format!("{FOLDER}register.md"), 2051);
+    pages.insert(format!("{FOLDER}register.md"), 2091);
     pages.insert(format!("{FOLDER}new.md"), 1);
     pages.remove(&format!("{FOLDER}viewing.md"));
     pages.insert("docs/README.md".into(), ALL);
     pages.insert("tests/data/README.md".into(), ALL);
     let found = faults(&pages);
-    for fault in ["register.md has 2051 words of 2050", "new.md has no number", "viewing.md is gone", "all pages have"]
+    for fault in ["register.md has 2091 words of 2090", "new.md has no number", "viewing.md is gone", "all pages have"]
     {
         assert!(found.iter().any(|said| said.contains(fault)), "{fault}: {found:?}");
     }

@@ -114,12 +114,12 @@ pub struct RegisterRequest {
     #[command(flatten)]
     pub plugins: Plugins,
 
-    /// Which kind of node in --plugin registers, if there are several.
+    /// The kind of node that does the registration, if --plugin has several.
     #[arg(long, value_name = "STAGE.KIND", requires = "plugins", conflicts_with = "method")]
     pub kind: Option<String>,
 
-    /// How the nearest sample of TARGET is searched for each point: tree (anew at every step), or cached (again only if another sample
-    /// can be nearer). Default: that of the method; osteoflow inspect shows it.
+    /// How the nearest sample of TARGET is found for each point: tree (searched at every step), or cached (searched only where the nearest
+    /// one may have changed). Default: that of the method; osteoflow inspect shows it.
     #[arg(long, value_name = "PAIRING")]
     pub pairing: Option<String>,
 
@@ -250,8 +250,8 @@ pub struct RegisterRequest {
     pub out: Option<PathBuf>,
 
     /// Write SOURCE as registered (.ply, .pcd, .csv). The column residual_mm is the distance of each point from the surface, positive
-    /// outside. The column on_bone is 1 for points of the bone and 0 for the others. Points of the bone are in all regions, and no farther from the
-    /// surface than the inliers of the registration.
+    /// outside. The column on_bone is 1 for points of the bone and 0 for the others. A point is of the bone if it is in all of --box, --sphere and
+    /// --region, and no farther from the surface than the pairs that were used.
     #[arg(long, value_name = "FILE")]
     pub write_source: Option<PathBuf>,
 

@@ -33,8 +33,8 @@ Exit codes:
     1  a file could not be read or written or is damaged, or there was an internal error
     2  the command line or the graph has a fault; nothing was run
     3  the run was refused or a node failed, or a registration has no answer; the reason is printed
-    4  a difference was found: of two recordings, or of a replay, rerun or repro from its original
-    5  runs of a sweep failed; its tables lack them, and --resume --retry-failed runs them again
+    4  a difference was found: between recordings, or between what was run again and its original
+    5  some runs of a sweep failed: its tables lack them; --resume --retry-failed runs them again
   130  interrupted; everything written until then is valid
 
 Research software, not a medical device."

@@ -4,7 +4,7 @@ use clap::{Args, Command};
 use clap_complete::Shell;
 use std::io::Write;
 
-/// Print a completion script: with it, the Tab key of your shell completes commands and options.
+/// Print a script for completion by the Tab key: with it, your shell completes commands and options.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

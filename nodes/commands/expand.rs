@@ -6,7 +6,7 @@ use osteoflow_engine::{Faults, plan::Plan};
 use serde_json::json;
 use std::{collections::BTreeMap, io::Write};
 
-/// Print the complete graph: one file with what extends, modules, --set and defaults bring in.
+/// Print a graph with all defaults and included files filled in: one file with what extends, modules, --set and defaults bring in.
 ///
 /// The output is a graph file itself, with every default, absolute paths and every recorded wire; it has the same plan and
 /// gives the same results. A comment above each node names the place where it was written.

@@ -10,9 +10,9 @@ use std::{io::Write, sync::Arc};
 
 /// Register one file onto another, without a graph: the SOURCE moves, the TARGET stays.
 ///
-/// TARGET is the bone: a surface, from which points are sampled, or points of one, or a CT. SOURCE is the scan: points, or a surface,
+/// TARGET is the bone: a surface (points are sampled from it), a cloud of points, or a CT. SOURCE is the scan: points, or a surface,
 /// whose vertices are taken. Surfaces and points are PLY, STL, OBJ, OFF, VTK, PCD or text. A CT is NIfTI, NRRD, MetaImage, or a folder
-/// with a DICOM series (docs/use/formats.md). Normals that the method needs are estimated if a file has none. Lengths are
+/// with a DICOM series (docs/use/formats.md). Normals (directions at right angles to the surface) are estimated if a file has none. Lengths are
 /// millimetres. Each file has a frame of its own, and the pose takes coordinates in the source's frame to the target's. Methods,
 /// parameters and defaults are those of the nodes `icp.*`.
 ///
@@ -47,7 +47,7 @@ Timings:
 
 Exit codes:
     0  there is a pose; heed the verdict and the warnings
-    1  a file is missing or cannot be written, or that of --init or --landmarks is damaged
+    1  a file is missing or cannot be written, or that of --init, --landmarks or --fiducials is bad
     2  a fault of the command line
     3  the pose is refused, or no registration is possible; the reason is printed
   130  interrupted")]

@@ -5,7 +5,7 @@ use clap::Args;
 use osteoflow_engine::schema;
 use std::io::Write;
 
-/// Write a description of the graph file or the plan for editors: a JSON Schema, by which they complete keys and mark faults.
+/// Write the schema of graph files or plans for a text editor: a JSON Schema, by which it completes keys and marks faults.
 ///
 /// That of the graph is generated from the descriptions of the nodes. A TOML language server (taplo, Even Better TOML) finds it by the
 /// first line of a graph: #:schema PATH, relative to the graph.

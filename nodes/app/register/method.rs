@@ -18,12 +18,15 @@ pub(super) const BUILT_IN: [(&str, &str); 6] = [
     ("point_to_plane", "distances along the target's normals: few steps; the first choice"),
     ("point_to_point", "distances between points: for targets without normals; slow along a bone"),
     ("symmetric", "distances along the mean normal of both points: converges from farther away on curved bone"),
-    ("generalized", "Mahalanobis distances between planar Gaussians (GICP), for comparisons"),
+    ("generalized", "distances between flat patches at both points (GICP), for comparisons"),
     (
         "point_to_mesh",
         "distances to the target's triangles: no sampling error, several times the cost; needs a surface",
     ),
-    ("published", "plain point-to-point under a stop rule of the paper, which --set reading=.. names"),
+    (
+        "published",
+        "plain point-to-point under a stop rule that the paper (README) may have used; --set reading=.. chooses it",
+    ),
 ];
 
 impl RegisterRequest {
