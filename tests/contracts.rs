@@ -76,6 +76,13 @@ fn check_says_with_the_times_of_a_run_which_contract_cannot_be_kept_where_it_sta
     let (code, _, said) = check(&[&["graphs/fibula_tracking.toml", "--times", &times], &wide[..]].concat());
     assert!(code == Some(2) && said.contains("it has no bound (icp takes "), "{said}");
 
+    // Times of another graph are no times of this one.
+    let text = fs::read_to_string(&manifest).unwrap().replace("\"name\":\"icp\"", "\"name\":\"another\"");
+    fs::write(&manifest, text).unwrap();
+    let (code, printed, said) = check(&[&["graphs/fibula_tracking.toml", "--times", &times], &wide[..]].concat());
+    assert!(code == Some(2) && said.contains("it has no bound (the run has no firing of icp"), "{said}");
+    assert!(printed.contains("no faults, 1 contract cannot be kept"), "{printed}");
+
     for (times, expected) in [(dir.path().to_str().unwrap(), "manifest.json"), ("graphs", "manifest.json")] {
         let (code, _, said) = check(&["graphs/fibula_tracking.toml", "--times", times]);
         assert!(code == Some(2) && said.contains(expected), "{said}");

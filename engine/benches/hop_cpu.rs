@@ -1,5 +1,7 @@
 //! Cost of a hop on one worker in processor time, which other programs disturb less than wall time. Prints nanoseconds per
 //! hop of the fastest of many runs.
+//!
+//! `hop_cpu once KIND NODES` runs the chain once, for a tool that counts instructions: the difference of two numbers of nodes is theirs.
 
 #[path = "../tests/plugins/build.rs"]
 mod build;
@@ -50,6 +52,14 @@ fn loaded(library: &Path) -> Registry {
 }
 
 fn main() {
+    let args: Vec<_> = std::env::args().skip(1).collect();
+    if let ["once", kind, n_nodes] = args.iter().map(String::as_str).collect::<Vec<_>>()[..] {
+        let n_nodes = n_nodes.parse().expect("a number of nodes");
+        let registry = registry();
+        let plan = chain(&registry, "bench.count", ITEMS, kind, n_nodes, 0);
+        run(&plan, &registry, &RunOptions::default(), &()).expect("the chain runs");
+        return;
+    }
     let c = Path::new(env!("CARGO_TARGET_TMPDIR")).join("librelay_timed.so");
     let mut plugins = vec![("Rust", loaded(&build::example("plugin_relay")))];
     if build::compile(Path::new("engine/tests/plugins/c/relay.c"), &c, &[]) {

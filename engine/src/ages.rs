@@ -17,10 +17,10 @@ use std::{collections::BTreeMap, fmt, path::Path};
 /// What a run took: of each node, and between the items of each wire of a source.
 #[derive(Debug, Default)]
 pub struct Times {
-    /// Duration of a firing, 99 of 100, and on average, ns, by node.
+    /// Duration of a firing, 99 of 100, and on average, ns, by node; none of one that never fired.
     firings: BTreeMap<String, (i64, f64)>,
-    /// Gaps between items, 99 of 100, ns, by wire.
-    periods: BTreeMap<String, i64>,
+    /// Gaps between items, 99 of 100, ns, by recorded wire; none where there was but one item.
+    periods: BTreeMap<String, Option<i64>>,
 }
 
 /// An age or a duration as it will be.
@@ -110,8 +110,9 @@ impl Times {
         let mut firings = BTreeMap::new();
         for node in manifest["nodes"].as_array().into_iter().flatten() {
             let number = |key: &str| node[key].as_f64().unwrap_or(0.0);
-            if let Some(name) = node["name"].as_str() {
-                let mean_ns = number("busy_ms") * 1e6 / number("items").max(1.0);
+            let n_firings = number("items") - number("skipped");
+            if let Some(name) = node["name"].as_str().filter(|_| n_firings > 0.0) {
+                let mean_ns = number("busy_ms") * 1e6 / n_firings;
                 firings.insert(name.to_owned(), ((number("p99_ms") * 1e6) as i64, mean_ns));
             }
         }
@@ -131,9 +132,8 @@ impl Times {
             stamps.dedup();
             let mut gaps: Vec<i64> = stamps.windows(2).map(|pair| pair[1] - pair[0]).collect();
             gaps.sort_unstable();
-            if let Some(gap) = gaps.get((gaps.len() * 99 / 100).min(gaps.len().saturating_sub(1))) {
-                periods.insert(wire.clone(), *gap);
-            }
+            let gap = gaps.get((gaps.len() * 99 / 100).min(gaps.len().saturating_sub(1)));
+            periods.insert(wire.clone(), gap.copied());
         }
         Ok(Self { firings, periods })
     }
@@ -149,8 +149,13 @@ impl Times {
                 let contract = (index, format!("in.{}.max_age_ms", input.port.name), "max_age_ms");
                 all.push(predicted(on, ages.at(index, input), Some((contract, limit_ns))));
             }
-            if let (Some(deadline), Some((ns, _))) = (node.deadline, self.firings.get(&*node.name)) {
-                let sum = Sum::default().with(Part::Firing(node.name.to_string()), *ns);
+            if let Some(deadline) = node.deadline {
+                let sum = match self.firings.get(&*node.name) {
+                    Some((ns, _)) => Sum::default().with(Part::Firing(node.name.to_string()), *ns),
+                    None => {
+                        Sum { unbounded: Some(format!("the run has no firing of {}", node.name)), ..Sum::default() }
+                    }
+                };
                 let contract = (index, "deadline_ms".to_owned(), "deadline_ms");
                 all.push(predicted(node.name.to_string(), sum, Some((contract, deadline.ns))));
             }
@@ -172,6 +177,19 @@ fn predicted(on: String, sum: Sum, limit: Option<((usize, String, &'static str),
     Predicted { on, contract, limit_ns, ns, parts }
 }
 
+/// Time between two items of an output of a source, and why it is not known where something takes them.
+fn source(plan: &Plan, times: &Times, id: OutputId) -> (Option<i64>, Option<String>) {
+    let wire = plan.wire_name(id);
+    let contracts = plan.consumers(id).map(|link| plan.nodes[link.to_node].inputs[link.to_port].contract);
+    let expected = contracts.filter_map(|contract| contract.period_ns).min();
+    match times.periods.get(&wire) {
+        Some(period) => (period.or(expected), None),
+        None if expected.is_some() || plan.consumers(id).next().is_none() => (expected, None),
+        // As if it came all the time, so that what it leads to says so.
+        None => (Some(0), Some(format!("the run recorded no item of {wire}"))),
+    }
+}
+
 /// The rhythm and the delay of every node.
 struct Ages<'a> {
     plan: &'a Plan,
@@ -186,24 +204,25 @@ impl<'a> Ages<'a> {
         let mut ages = Self { plan, periods: Vec::new(), delays: Vec::new() };
         for (index, node) in plan.nodes.iter().enumerate() {
             if node.role != Role::Node {
-                let period = |id: OutputId| {
-                    let asked = plan
-                        .consumers(id)
-                        .filter_map(|link| plan.nodes[link.to_node].inputs[link.to_port].contract.period_ns);
-                    times.periods.get(&plan.wire_name(id)).copied().or(asked.min())
-                };
-                ages.periods.push(plan.outputs(index).map(period).collect());
-                ages.delays.push(Sum::default());
+                let (periods, unknown): (Vec<_>, Vec<_>) =
+                    plan.outputs(index).map(|id| source(plan, times, id)).unzip();
+                ages.periods.push(periods);
+                ages.delays.push(Sum { unbounded: unknown.into_iter().flatten().next(), ..Sum::default() });
                 continue;
             }
             let period = ages.firing_period(index);
             ages.periods.push(vec![period; node.outputs.len()]);
-            let (ns, mean_ns) = times.firings.get(&*node.name).copied().unwrap_or_default();
-            let mut delay = ages.before(index).with(Part::Firing(node.name.to_string()), ns);
-            if let Some(period) = period.filter(|period| mean_ns > *period as f64) {
-                let (takes, comes) = (mean_ns / 1e6, period as f64 / 1e6);
-                delay.unbounded =
-                    Some(format!("{} takes {takes:.1} ms, and the next comes after {comes:.1} ms", node.name));
+            let mut delay = ages.before(index);
+            match times.firings.get(&*node.name) {
+                Some((ns, mean_ns)) => {
+                    delay = delay.with(Part::Firing(node.name.to_string()), *ns);
+                    if let Some(period) = period.filter(|period| *mean_ns > *period as f64) {
+                        let (takes, comes) = (mean_ns / 1e6, period as f64 / 1e6);
+                        let why = format!("{} takes {takes:.1} ms, and the next comes after {comes:.1} ms", node.name);
+                        delay.unbounded.get_or_insert(why);
+                    }
+                }
+                None => drop(delay.unbounded.get_or_insert_with(|| format!("the run has no firing of {}", node.name))),
             }
             ages.delays.push(delay);
         }

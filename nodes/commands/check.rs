@@ -66,7 +66,15 @@ impl Check {
                     1 => ", 1 warning".into(),
                     n => format!(", {n} warnings"),
                 };
-                writeln!(terminal::stdout(), "{graph}: {module}{nodes} nodes, {wires} wires, no faults{warned}")?;
+                let broken = match broken.len() {
+                    0 => String::new(),
+                    1 => ", 1 contract cannot be kept".into(),
+                    n => format!(", {n} contracts cannot be kept"),
+                };
+                writeln!(
+                    terminal::stdout(),
+                    "{graph}: {module}{nodes} nodes, {wires} wires, no faults{warned}{broken}"
+                )?;
                 if !predicted.is_empty() {
                     write!(terminal::stdout(), "\n{}", table(&predicted))?;
                 }

@@ -215,8 +215,12 @@ impl Otherwise {
 impl Contract {
     /// Silence of the wire after which its values are unknown: two periods, or the maximum age.
     pub fn silence_ns(&self) -> Option<StampNs> {
-        let periods = self.period_ns.map(|ns| ns.saturating_mul(2));
-        periods.into_iter().chain(self.max_age_ns).min()
+        self.rate_silence_ns().into_iter().chain(self.max_age_ns).min()
+    }
+
+    /// Silence of the wire by which its rate is broken: two periods.
+    pub fn rate_silence_ns(&self) -> Option<StampNs> {
+        self.period_ns.map(|ns| ns.saturating_mul(2))
     }
 }
 

@@ -142,6 +142,29 @@ fn a_wire_of_a_file_is_told_where_it_is_silent_and_is_not_changed() {
     assert_eq!(refusal_of(&refused).reason, "nothing came for 60 ns, and otherwise = \"refuse\"");
 }
 
+#[test]
+fn a_wire_of_two_consumers_breaks_the_rate_of_one_by_its_own_limit_and_not_by_the_age_of_the_other() {
+    let plan = |gap: i64| {
+        let given: Vec<_> = [10, 20, 20 + gap].iter().map(|ns| (*ns, 0, 1.0)).collect();
+        let rate = Contract { max_age_ns: None, period_ns: Some(50), otherwise: Otherwise::Refuse };
+        PlanBuilder::new()
+            .script("scan", 1, calls(&given))
+            .node("young", "toy.add", json!({}), &[("a", "scan.p0", None)])
+            .node("often", "toy.add", json!({}), &[("a", "scan.p0", None)])
+            .contract("young.a", max_age(20, Otherwise::Unknown))
+            .contract("often.a", rate)
+            .record(&["scan.p0", "young.out", "often.out"])
+            .result("all", "often.out", true, true)
+            .plan()
+    };
+    let report = check(&plan(60));
+    assert_eq!((&report.outcome, reasons(&report)), (&Outcome::Complete, vec![]));
+    let report = check(&plan(100));
+    assert_eq!(refusal_of(&report).reason, "nothing came for 100 ns, and otherwise = \"refuse\"");
+    let told = "scan.p0: nothing came for 100 ns or longer, 1 times, the first at item 2".to_owned();
+    assert_eq!(reasons(&report), [("silent_wire".to_owned(), told)]);
+}
+
 /// What came on each wire, with the time.
 struct Wires<'w>(&'w World, Mutex<BTreeMap<OutputId, Vec<(u64, Item)>>>);
 
@@ -208,13 +231,13 @@ fn devices(draws: &mut Draws) -> Vec<Given> {
 
 /// The contracts of a schedule.
 #[derive(Clone, Copy)]
-struct Asked {
+struct Limits {
     a: Contract,
     b: Contract,
     deadline_ns: i64,
 }
 
-fn scheduled(name: &str, asked: Asked) -> Plan {
+fn scheduled(name: &str, limits: Limits) -> Plan {
     let wide = |link: &mut crate::plan::Link| {
         (link.capacity, link.max_bytes, link.policy) = (100_000, 1 << 30, Policy::Block);
     };
@@ -229,9 +252,9 @@ fn scheduled(name: &str, asked: Asked) -> Plan {
             &[("a", "tracker.p0", Some(Join::Each)), ("b", "camera.p0", Some(Join::Latest))],
         )
         .node("after", "toy.add", json!({}), &[("a", "follow.out", None)])
-        .contract("follow.a", asked.a)
-        .contract("follow.b", asked.b)
-        .deadline("follow", Deadline { ns: asked.deadline_ns, otherwise: Otherwise::Unknown })
+        .contract("follow.a", limits.a)
+        .contract("follow.b", limits.b)
+        .deadline("follow", Deadline { ns: limits.deadline_ns, otherwise: Otherwise::Unknown })
         .link("follow.a", wide)
         .link("follow.b", wide)
         .record(&["tracker.p0", "camera.p0", "follow.out", "after.out"])
@@ -298,11 +321,11 @@ fn schedule(seed: u64) -> Broken {
     let a = max_age((4 + draws.below(6)) as i64 * MS, Otherwise::Unknown);
     let period_ns = draws.one_in(2).then(|| (1 + draws.below(2)) as i64 * MS);
     let b = Contract { period_ns, ..max_age((4 + draws.below(6)) as i64 * MS, Otherwise::Unknown) };
-    let asked = Asked { a, b, deadline_ns: 300_000 };
+    let limits = Limits { a, b, deadline_ns: 300_000 };
     let spent_ns =
         (0..37).map(|_| if draws.one_in(12) { draws.below(2_000_000) } else { draws.below(60_000) }).collect();
     let world = World { given, spent_ns, ..World::default() }.begin(&name);
-    let plan = scheduled(&name, asked);
+    let plan = scheduled(&name, limits);
     let dir = tempfile::tempdir().unwrap();
     let run_options = RunOptions {
         clock: Some(world.clock.clone()),
@@ -323,13 +346,13 @@ fn schedule(seed: u64) -> Broken {
     let mut n = Broken::default();
     for (firing, (ended_ns, answer)) in followed.iter().zip(&out) {
         let trigger = &tracker[firing.item as usize];
-        judge("a", &firing.a, Some(trigger), (firing, trigger.0), asked.a.max_age_ns.unwrap(), &world, &mut n);
+        judge("a", &firing.a, Some(trigger), (firing, trigger.0), limits.a.max_age_ns.unwrap(), &world, &mut n);
         let newest = camera.iter().rev().find(|(_, item)| item.stamp_ns <= firing.stamp_ns);
-        judge("b", &firing.b, newest, (firing, trigger.0), asked.b.max_age_ns.unwrap(), &world, &mut n);
+        judge("b", &firing.b, newest, (firing, trigger.0), limits.b.max_age_ns.unwrap(), &world, &mut n);
         let is_late = answer.body.value().is_none();
         let (least, most) = (firing.ended_ns - firing.began_ns, ended_ns - trigger.0);
-        assert!(is_late || least <= asked.deadline_ns as u64, "seed {seed}: it took {least} ns, and is not named");
-        assert!(!is_late || most > asked.deadline_ns as u64, "seed {seed}: it took at most {most} ns, and is named");
+        assert!(is_late || least <= limits.deadline_ns as u64, "seed {seed}: it took {least} ns, and is not named");
+        assert!(!is_late || most > limits.deadline_ns as u64, "seed {seed}: it took at most {most} ns, and is named");
         n.deadline += u64::from(is_late);
     }
     // Every breach is counted, and a wire whose device died says so while the other goes on.
@@ -342,7 +365,7 @@ fn schedule(seed: u64) -> Broken {
         (n.by_stamp + n.by_arrival, n.deadline),
         "seed {seed}"
     );
-    for (items, contract) in [(&tracker, asked.a), (&camera, asked.b)] {
+    for (items, contract) in [(&tracker, limits.a), (&camera, limits.b)] {
         let (Some((last_ns, last)), Some(max_ns)) = (items.last(), contract.silence_ns()) else { continue };
         let says_so = |(_, item): &(u64, Item)| matches!(&item.body, Body::Empty(empty) if empty.reason.starts_with("nothing came for"));
         let silent_ns = world.given.last().unwrap().at_ns.saturating_sub(*last_ns) as i64;
@@ -397,10 +420,10 @@ fn a_device_that_dies_is_unknown_within_the_time_allowed_and_one_that_comes_back
     all.sort_by_key(|given| (given.at_ns, given.device));
     let world = World { given: all, ahead: Some(16), ..World::default() }.begin("dies");
     let b = Contract { period_ns: Some(5 * MS), ..max_age(30 * MS, Otherwise::Unknown) };
-    let asked = Asked { a: Contract::default(), b, deadline_ns: i64::MAX };
+    let limits = Limits { a: Contract::default(), b, deadline_ns: i64::MAX };
     let run_options = RunOptions { clock: Some(world.clock.clone()), ..options(2) };
     let report =
-        run_with(&scheduled("dies", asked), &registry(), &run_options, &(), Replayed::default(), None).unwrap();
+        run_with(&scheduled("dies", limits), &registry(), &run_options, &(), Replayed::default(), None).unwrap();
     let followed = world.followed.lock().unwrap();
     let known: Vec<_> = followed.iter().filter(|f| f.b.is_ok()).map(|f| f.stamp_ns / MS).collect();
     let expected: Vec<_> = (1..49).chain(90..159).collect();

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 /// Maximum number of names listed beside a suggestion.
-const SHORT: usize = 14;
+const SHORT: usize = 16;
 
 /// Maximum number of names listed without a suggestion.
 const LONG: usize = 40;

@@ -3,7 +3,7 @@
 //! What follows from the stamps alone is the same in every run. What follows from the clock is recorded as a reading of the
 //! firing, or as an empty on the wire of a live source, so that a replay decides the same.
 
-use super::{Cell, Core, Phase};
+use super::{Cell, Core, Phase, source_clock::nanoseconds};
 use crate::{
     histogram::Histogram,
     plan::{Contract, Deadline, Otherwise, OutputId, Plan, PlanInput},
@@ -161,7 +161,7 @@ impl Cell {
         }
     }
 
-    /// Empties the answer of a firing that took too long; readings of the clock that broke a contract.
+    /// Empties the answer of a firing that took too long.
     pub(super) fn keep_deadline(&mut self, item: u64, run: &Runtime<'_>) {
         let Some(contracts) = &mut self.contracts else { return };
         let Some((deadline, kept)) = &mut contracts.deadline else { return };
@@ -210,14 +210,14 @@ impl Cell {
         let now = run.now();
         for output in &mut self.outputs {
             let Some(silence) = &output.silence else { continue };
-            let Some((stamp_ns, is_first)) = silence.silent(now, since) else { continue };
-            let (stamp_ns, max_ns) = (stamp_ns.max(output.floor), silence.max_ns);
-            if !is_first {
+            let Some((stamp_ns, limit_ns)) = silence.silent(now, since) else { continue };
+            let stamp_ns = stamp_ns.max(output.floor);
+            let Some(limit_ns) = limit_ns else {
                 // Firings that other sources trigger do not wait for a silent one.
                 output.promise(stamp_ns, run, turn);
                 continue;
-            }
-            let reason = format!("nothing came for {}", span(max_ns));
+            };
+            let reason = format!("nothing came for {}", span(limit_ns));
             let empty = Arc::new(Empty { node: self.context.node().to_owned(), reason: reason.clone() });
             let (node, item) = (self.context.node().to_owned(), output.n_items());
             let _ = output.send(stamp_ns, Body::Empty(empty), run, turn);
@@ -238,8 +238,9 @@ impl Cell {
             }));
         }
         let silences = self.outputs.iter().filter_map(|output| Some((output.id, output.silence.as_deref()?)));
-        all.extend(silences.filter(|(_, silence)| silence.is_rate).map(|(id, silence)| {
-            silence.kept.stats(plan, self.index, plan.wire_name(id), ContractKind::Silence, silence.max_ns)
+        all.extend(silences.filter_map(|(id, silence)| {
+            let (on, kind) = (plan.wire_name(id), ContractKind::Silence);
+            Some(silence.kept.stats(plan, self.index, on, kind, silence.rate_ns?))
         }));
         all
     }
@@ -247,14 +248,16 @@ impl Cell {
 
 /// The longest silence of a wire that its consumers allow.
 pub(crate) struct Silence {
+    /// After which the wire is unknown: by a maximum age, or a rate.
     max_ns: StampNs,
-    /// Whether a rate limits it. A maximum age alone is broken by values, not by their absence.
-    is_rate: bool,
-    refuses: bool,
+    /// After which a rate is broken. A maximum age is broken by values, not by their absence.
+    rate_ns: Option<StampNs>,
+    /// After which the run is refused.
+    refuse_ns: Option<StampNs>,
     /// Stamp of the last item that does not say that the wire is silent, and when it came.
     last: Option<(StampNs, Duration)>,
-    /// The item after it says that the wire is silent.
-    is_said: bool,
+    /// The silence that an empty has said since.
+    said_ns: StampNs,
     kept: Kept,
 }
 
@@ -265,37 +268,44 @@ impl Silence {
         let contracts = plan.consumers(id).map(|link| plan.nodes[link.to_node].inputs[link.to_port].contract);
         let contracts: Vec<_> = contracts.filter(|_| is_source).collect();
         let max_ns = contracts.iter().filter_map(Contract::silence_ns).min()?;
-        let mut rates = contracts.iter().filter(|contract| contract.period_ns.is_some()).peekable();
-        let is_rate = rates.peek().is_some();
-        let refuses = rates.any(|contract| contract.otherwise == Otherwise::Refuse);
-        Some(Box::new(Self { max_ns, is_rate, refuses, last: None, is_said: false, kept: Kept::default() }))
+        let of_rates =
+            |is: fn(&&Contract) -> bool| contracts.iter().filter(is).filter_map(Contract::rate_silence_ns).min();
+        let rate_ns = of_rates(|_| true);
+        let refuse_ns = of_rates(|contract| contract.otherwise == Otherwise::Refuse);
+        Some(Box::new(Self { max_ns, rate_ns, refuse_ns, last: None, said_ns: 0, kept: Kept::default() }))
+    }
+
+    /// The next limit that no empty has said yet.
+    fn next_limit(&self) -> Option<StampNs> {
+        let limits = [Some(self.max_ns), self.rate_ns, self.refuse_ns].into_iter().flatten();
+        limits.filter(|ns| *ns > self.said_ns).min()
     }
 
     /// Notes an item; the reason to refuse the run, if there is one. By stamps alone, so that a replay finds the same: an
-    /// empty that comes when the silence has been too long says so, any other item ends it.
+    /// empty that comes when the silence has passed a limit says so, any other item ends it.
     #[cold]
     pub(super) fn note(&mut self, item: &Item, now: Duration) -> Option<String> {
         let gap_ns = self.last.map_or(0, |(ns, _)| item.stamp_ns.saturating_sub(ns));
-        let is_new = gap_ns >= self.max_ns && !self.is_said;
-        let is_first = self.kept.count(gap_ns, is_new, item.number);
-        self.is_said = is_new && item.body.value().is_none();
-        if !self.is_said {
-            self.last = Some((item.stamp_ns, now));
-        }
-        (is_first && self.refuses).then(|| format!("nothing came for {}", span(gap_ns)))
+        let passes = |limit: Option<StampNs>| limit.is_some_and(|ns| gap_ns >= ns && self.said_ns < ns);
+        let (is_broken, is_refused) = (passes(self.rate_ns), passes(self.refuse_ns));
+        let says_so = item.body.value().is_none() && passes(self.next_limit());
+        self.kept.count(gap_ns, is_broken, item.number);
+        (self.last, self.said_ns) = if says_so { (self.last, gap_ns) } else { (Some((item.stamp_ns, now)), 0) };
+        is_refused.then(|| {
+            // Once.
+            self.refuse_ns = None;
+            format!("nothing came for {}", span(gap_ns))
+        })
     }
 
-    /// The stamp of now on a wire that is silent for too long, and whether nothing has said so yet.
-    fn silent(&self, now: Duration, asked_since: Duration) -> Option<(StampNs, bool)> {
+    /// The stamp of now on a wire that is silent for too long, and the limit that no empty has said yet.
+    fn silent(&self, now: Duration, asked_since: Duration) -> Option<(StampNs, Option<StampNs>)> {
         let (stamp_ns, at) = self.last?;
         let silent_ns = nanoseconds(now.saturating_sub(at.max(asked_since)));
-        let at_ns = if self.is_said { silent_ns } else { self.max_ns };
-        (silent_ns >= self.max_ns).then_some((stamp_ns.saturating_add(at_ns), !self.is_said))
+        let limit_ns = self.next_limit().filter(|ns| silent_ns >= *ns);
+        let is_silent = limit_ns.is_some() || self.said_ns > 0;
+        is_silent.then(|| (stamp_ns.saturating_add(limit_ns.unwrap_or(silent_ns)), limit_ns))
     }
-}
-
-fn nanoseconds(time: Duration) -> StampNs {
-    StampNs::try_from(time.as_nanos()).unwrap_or(StampNs::MAX)
 }
 
 fn span(ns: StampNs) -> String {

@@ -144,7 +144,7 @@ fn judged<T>(stamp_ns: StampNs, item: T, most_ns: StampNs, at_ns: StampNs) -> Ju
     Judged::Refused(item, at_ns, reason)
 }
 
-fn nanoseconds(time: Duration) -> StampNs {
+pub(super) fn nanoseconds(time: Duration) -> StampNs {
     StampNs::try_from(time.as_nanos()).unwrap_or(StampNs::MAX)
 }
 
