@@ -93,6 +93,14 @@ fn the_numbers_beside_each_other_are_those_of_one_run() {
 }
 
 #[test]
+fn the_page_of_a_camera_and_a_tracker_of_ones_own_runs_as_it_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut page = Page::open("docs/begin/own-camera.md", folder.path(), None);
+    let done = page.follow(|_| 0, |_, _, _| {});
+    assert!(done.len() >= 4);
+}
+
+#[test]
 fn the_first_week_runs_as_it_is_written() {
     let test = "the_first_week_runs_as_it_is_written";
     let Some(interpreter) = python(test) else { return };

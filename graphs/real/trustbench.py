@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """A benchmark of verdicts: right and wrong poses of scans whose true pose is known, judged by us and by the measures of others.
 
-trustbench.py FOLDER --out DIR             FOLDER has manifest.json, or the folders hip, range, prints, skull of docs/method/real-data.md
+trustbench.py FOLDER --out DIR             FOLDER has manifest.json, or the folders hip, range, prints, skull of docs/method/trustbench.md
 trustbench.py FOLDER --out DIR --poses 15  so many right and twice as many wrong poses of each scan
 trustbench.py FOLDER --out DIR --page FILE writes the tables into FILE between <!-- trustbench --> and <!-- end -->
 trustbench.py --figures DIR/answers.json   draws the tables again, as after a column of another measure was added to `scores`
