@@ -94,10 +94,10 @@ fn every_request_names_an_experiment_and_every_number_has_one_path() {
             ["path", "nodes", "columns", "margins"].iter().filter(|key| line.request.get(**key).is_some()).count();
         assert_eq!(n_kinds, 1, "{}", line.request);
     }
-    // Six counts, by three readings of the stop rule and by ours, carried back and in place.
+    // Six counts, by one reading of the stop rule and by ours, carried back and in place.
     let lines = lines();
     let table_1: Vec<_> = lines.iter().filter(|line| line.cells[0] == "4, Table 1").collect();
-    assert_eq!(table_1.len(), 48);
+    assert_eq!(table_1.len(), 24);
     assert_eq!(table_1[0].request["setting"]["n_points"], 100);
 }
 

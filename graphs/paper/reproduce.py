@@ -2,7 +2,7 @@
 """Runs the experiments of this folder and writes a page that compares our numbers with the paper's.
 
 Each graph is swept by `osteoflow sweep` into a folder of its own below --out, with the report of each. page.md is the page with a
-request in JSON instead of each number of ours: a number of a sweep's summary.json, the time of nodes, a table of all settings, or
+request in JSON instead of each number of ours: a number of a sweep's summary.json, the time of nodes, a table of settings, or
 the comparison with another experiment by `osteoflow compare`. Rows that differ in one word are joined. Of all experiments the results
 and the details are two pages, else one. Nothing is computed here but spreads and shares of times.
 
@@ -31,7 +31,7 @@ EXPERIMENTS = [
 ]
 # One procedure of each is timed, node by node.
 TIMED = ["accuracy_camera", "accuracy_stylus"]
-MAX_REASONS = 3
+MAX_REASONS = 2
 EXAMPLES = """
 examples:
   graphs/paper/reproduce.py                                                  all of it, on the built-in bones
@@ -419,12 +419,18 @@ class Page:
         folders = [self.experiments[line.request[key]].folder for key in ("of", "against")]
         margins = [word for column, size in line.request["margins"].items() for word in ("--margin", f"{column}={size}")]
         compared = osteoflow(self.args, "compare", *folders, *margins, "--color", "never").rstrip()
-        return f"```text\n{compared.replace(str(folders[0].parent), 'OUT')}\n```"
+        # Without the settings, which the commands name.
+        return f"```text\n{compared[max(compared.find('second against first'), 0):]}\n```"
 
     def settings(self, line):
-        """A table with a row for each setting; with `across` one for each number, with the values of this factor beside each other."""
+        """A table with a row for each setting, or for those with a value in `where`; with `across` one for each number, with the values of
+        this factor beside each other."""
         groups, columns = self.experiments[line.request["of"]].summary["groups"], line.request["columns"]
-        names, across = list(groups[0]["setting"]) if groups else [], line.request.get("across")
+        where, across = line.request.get("where", {}), line.request.get("across")
+        # Settings of the user's own may have none of these values.
+        groups = [g for g in groups if all(g["setting"].get(name) in values for name, values in where.items())] or groups
+        first = groups[0]["setting"] if groups else {}
+        names = [name for name in first if any(g["setting"][name] != first[name] for g in groups)]
 
         def mean(of):
             sd = f" \u00b1 {of['sd']:.2f}" if of.get("sd") is not None else ""
@@ -454,6 +460,10 @@ class Page:
         of_rows = [n(group) for group in groups]
         if across or len(set(of_rows)) == 1:
             return f"{table(heads, rows)}\n\nn = {joined(list(dict.fromkeys(of_rows)))}."
+        of_units, without = [units(group["units"]) for group in groups], [group["n_without_results"] for group in groups]
+        if len(set(of_units)) == 1:
+            rows = [[*row, n or "-"] for row, n in zip(rows, without)]
+            return f"{table([*heads, 'without results'], rows)}\n\nn = {of_units[0]}, those without results included."
         return table([*heads, "n"], [[*row, n] for row, n in zip(rows, of_rows)])
 
     def commands(self):

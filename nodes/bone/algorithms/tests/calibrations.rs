@@ -104,6 +104,12 @@ impl Row {
         }
     }
 
+    /// Whether all its logs are refused, or else are told by a sign, by their cause: such kinds are listed, not counted.
+    fn is_always(&self, is_refused: bool) -> bool {
+        let Expected::Cause(causes) = self.expected else { return false };
+        self.outcomes.iter().all(|(_, o)| o.error.is_none() == is_refused && o.names(causes))
+    }
+
     fn cells(&self) -> String {
         let with = |o: &Outcome| o.error.is_some();
         let silent = |o: &Outcome| o.said.is_empty();
@@ -137,7 +143,14 @@ fn compare(name: &str, rows: &[Row]) {
     let mut table = String::from(
         "| Logs | Right, silent | Told | Refused | By its cause | Wrong and silent | Within the interval (median radius) |\n|---|---|---|---|---|---|---|\n",
     );
-    rows.iter().for_each(|row| writeln!(table, "{}", row.cells()).unwrap());
+    let counted = rows.iter().filter(|row| !row.is_always(true) && !row.is_always(false));
+    counted.for_each(|row| writeln!(table, "{}", row.cells()).unwrap());
+    for (is_refused, done) in [(true, "refused"), (false, "told")] {
+        let kinds: Vec<_> = rows.iter().filter(|row| row.is_always(is_refused)).map(|row| row.kind).collect();
+        if !kinds.is_empty() {
+            writeln!(table, "\nAlways {done}, by its cause: {}.", kinds.join("; ")).unwrap();
+        }
+    }
     println!("{table}");
     rows.iter().for_each(Row::check);
     if !is_slow() {
