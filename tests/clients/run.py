@@ -7,7 +7,8 @@ OSTEOFLOW_PROGRAM names the program, target/release/osteoflow otherwise. `tests/
 target/clients, whose Python has them. Exit code 0: all that is here agrees; 1: something does not; 2: numpy is missing.
 """
 
-import itertools
+import os
+import re
 import sys
 
 try:
@@ -26,12 +27,13 @@ import recordings  # noqa: F401
 import scenes  # noqa: F401
 import series  # noqa: F401
 import streams  # noqa: F401
-from client import ROOT, main
+from client import KEPT_MM, ROOT, main
 
 HEAD = """# Clients
 
 Which programs of others read what is written here, and whose files and streams are read, with the largest difference of the numbers.
-Each row is tests of [tests/clients](../tests/clients), which are skipped by name where their client is not installed:
+What agrees to 1e-4 mm, which clouds and surfaces [keep](use/formats.md), is one row of a client. A difference of up to 0.004 mm is of
+texts with six or seven digits. Each row is tests of [tests/clients](../tests/clients), which are skipped by name where their client is not installed:
 
 ```text
 tests/clients/install                                                     installs what can be had
@@ -39,8 +41,7 @@ cargo test --release --test suite clients:: -- --nocapture                tests 
 UPDATE=1 cargo test --release --test suite clients:: -- --nocapture       writes this page, too
 ```
 
-Clouds and surfaces keep 1e-4 mm ([formats](use/formats.md)); streams are in single precision. A difference of up to 0.004 mm is of
-texts with six or seven digits. 3D Slicer was not run: tests hold files for it to the rules of its source (583e9b37) and to its schema. Of Lichtblick the decoders of messages are
+3D Slicer was not run: tests hold files for it to the rules of its source (583e9b37) and to its schema. Of Lichtblick the decoders of messages are
 tested, and the rule by which it places a cloud and the bone.
 
 One run, at its end, in CloudCompare, Rerun and the page (`tests/clients/screenshots.py` writes these pictures):
@@ -60,28 +61,97 @@ def end(what):
     return "" if ")" in tail else tail
 
 
+DONE = [
+    "written and read here",
+    "refused with the command that converts it",
+    "refused by its name",
+    "by the command that its refusal names",
+    "by both",
+    "read here",
+    "refused",
+    "received",
+    "sent",
+    "read",
+]
+WRITTEN_AS = re.compile(r"(.+) written as (.+) read here")
+DONE_WITH = re.compile(f"(.+?) ({'|'.join(DONE)})")
+
+
+def listed(things):
+    """Things beside each other; the words with which all begin are said once.
+
+    >>> listed(["a lens brown", "a lens fisheye"]), listed(["bone.stl"]), listed(["bone.stl", "bone.ply"])
+    ('a lens brown, fisheye', 'bone.stl', 'bone.stl, bone.ply')
+    """
+    words = [thing.split(" ") for thing in things]
+    n = len(os.path.commonprefix(words))
+    if len(things) == 1 or n == min(map(len, words)):
+        n = 0
+    return " ".join([*words[0][:n], ", ".join(" ".join(of[n:]) for of in words)])
+
+
 def joined(whats):
-    """The things of a row; what ends them all alike is said once.
+    """The things of a row; what begins or ends several of them is said once, and what was done with several of them.
 
     >>> joined(["bone.stl read, extent", "bone.ply read, extent"]), joined(["bone.stl read, extent"])
-    ('extent: bone.stl read; bone.ply read', 'bone.stl read, extent')
+    ('extent: bone.stl, bone.ply read', 'bone.stl read, extent')
+    >>> joined(["DICOM, RLE, read", "DICOM, big-endian, read"]), joined(["a read", "b read", "c"])
+    ('read: DICOM: RLE; big-endian', 'a, b read; c')
+    >>> joined(["a written as stl read here", "a written as ply read here", "b written as stl read here", "b written as ply read here"])
+    'a, b written as stl, ply read here'
     """
-    tail = end(whats[0])
-    if len(whats) == 1 or not tail:
-        return "; ".join(whats)
-    return f"{tail}: " + "; ".join(what.removesuffix(f", {tail}") for what in whats)
+    by_end, written, done, texts = {}, {}, {}, []
+    for what in whats:
+        by_end.setdefault(end(what), []).append(what)
+    begin = whats[0].partition(", ")[0] + ", "
+    if len(whats) > 1 and len(by_end) > 1 and all(what.startswith(begin) for what in whats):
+        return f"{begin[:-2]}: " + joined([what.removeprefix(begin) for what in whats])
+    for tail, of in by_end.items():
+        if tail and len(of) > 1:
+            texts.append(f"{tail}: " + joined([what.removesuffix(f", {tail}") for what in of]))
+            continue
+        for what in of:
+            if found := WRITTEN_AS.fullmatch(what):
+                written.setdefault(found[1], []).append(found[2])
+            elif (found := DONE_WITH.fullmatch(what)) and not tail:
+                done.setdefault((found[2], ""), []).append(found[1])
+            else:  # what differs in its last word alone
+                done.setdefault(("", what if tail else what.rpartition(" ")[0] or what), []).append(what)
+    by_formats = {}
+    for thing, formats in written.items():
+        by_formats.setdefault(tuple(formats), []).append(thing)
+    texts += [f"{listed(things)} {verb}".strip() for (verb, _), things in done.items()]
+    texts += [f"{listed(things)} written as {', '.join(formats)} read here" for formats, things in by_formats.items()]
+    return "; ".join(texts)
+
+
+def differences(of):
+    """The cells of a client's rows: what agrees to `KEPT_MM` is one row with the largest difference; a row for each other one."""
+    by_row = {}
+    for row in of:
+        is_kept = row.unit == "mm" and row.difference <= KEPT_MM
+        shown = "" if not row.unit else "kept" if is_kept else f"{row.difference:.0e} {row.unit}"
+        by_row.setdefault(shown, []).append(row)
+    cells = []
+    for shown, rows in by_row.items():
+        largest = max(row.difference for row in rows)
+        kept = f"{largest:.0e} mm" if largest else "0"
+        cells.append((joined([row.what for row in rows]), kept if shown == "kept" else shown))
+    return cells
 
 
 def page(rows, skipped):
-    text = HEAD
-    for name, of in itertools.groupby(rows, key=lambda row: row[0]):
-        # A row for the things of one end and one difference.
-        by_row, version = {}, None
-        for _, version, row in of:
-            difference = "" if not row.unit else "0" if row.difference == 0 else f"{row.difference:.0e} {row.unit}"
-            by_row.setdefault((end(row.what), difference), []).append(row.what)
-        for k, ((_, difference), whats) in enumerate(by_row.items()):
-            text += f"| {name} | {'' if k else version} | {joined(whats)} | {difference} |\n"
+    text, by_client, said = HEAD, {}, {}
+    for name, version, row in rows:
+        by_client.setdefault(name, (version, []))[1].append(row)
+    for name, (version, of) in by_client.items():
+        cells = differences(of)
+        # Counts of messages differ from run to run.
+        alike = said.setdefault(re.sub(r"\d+", "", str(cells)), name)
+        if alike != name:
+            cells = [(f"as {alike}", "as there")]
+        for k, (whats, difference) in enumerate(cells):
+            text += f"| {name} | {'' if k else version} | {whats} | {difference} |\n"
     if skipped:
         text += "\nNot on the machine that wrote this page: " + "; ".join(f"{name} ({why})" for name, why in skipped) + ".\n"
     return text
