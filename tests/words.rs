@@ -15,7 +15,7 @@ const BEGIN: [(&str, usize); 10] = [
     ("first-week.md", 1890),
     ("frames-and-units.md", 2100),
     ("glossary.md", 2280),
-    ("own-camera.md", 1000),
+    ("own-camera.md", 1080),
     ("pictures.md", 460),
     ("register.md", 2090),
     ("viewing.md", 2590),

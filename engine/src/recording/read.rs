@@ -6,13 +6,14 @@ use super::{
     codec::{self, CodecError, RecordedItem},
     format::{
         Drops, Entries, FORMAT_VERSION, Live, MetadataRecord, MetadataRecords, Outcome, RecordedFailure, Recovered,
-        RunRecord, WireCounts,
+        RunMessage, RunRecord, WireCounts,
     },
     scan::{Carried, Gather, PassState, Scanned, scan},
     wires::{Carries, Wire},
 };
 use osteoflow_container::{ReadError, TooLarge};
 use osteoflow_node::{Body, ClockReading, Item, PortPayload, Registry};
+use serde::de::DeserializeOwned;
 use std::{
     collections::{BTreeMap, BTreeSet},
     fmt, io,
@@ -170,6 +171,9 @@ impl Recording {
         let Scanned { metadata, damage: truncated, unsound, .. } = scan(path, &mut reading, &mut |_, _| {})?;
         let metadata = &metadata;
         let run = run_record(path, metadata, truncated.as_deref())?;
+        if let Some(reason) = reading.unreadable {
+            return Err(RecordingError::foreign(path, reason));
+        }
         let recovered: Option<Recovered> = readable(path, metadata)?;
         let outcome: Option<Outcome> = readable(path, metadata)?;
         let interrupted = outcome.as_ref().is_some_and(|outcome| outcome.status == Outcome::INTERRUPTED);
@@ -250,12 +254,20 @@ pub(crate) struct Gathering {
     pub(crate) wires: BTreeMap<String, Gathered>,
     drops: BTreeMap<(String, String), BTreeSet<u64>>,
     readings: BTreeMap<(String, u64), Vec<ClockReading>>,
+    /// The first message about the run that a replay needs and that cannot be read.
+    unreadable: Option<String>,
 }
 
 pub(crate) struct Gathered {
     pub(crate) about: Wire,
     /// By number, in file order.
     pub(crate) messages: Vec<(Option<u64>, Vec<u8>)>,
+}
+
+impl Gathering {
+    fn about_the_run<M: RunMessage + DeserializeOwned>(&mut self, data: &[u8]) -> Option<M> {
+        M::read(data).map_err(|fault| self.unreadable.get_or_insert(fault).len()).ok()
+    }
 }
 
 impl Gather for Gathering {
@@ -277,15 +289,16 @@ impl Gather for Gathering {
             }
             Carries::Drops => {
                 state.allowance.take(message.data.len())?;
-                let drops = serde_json::from_slice::<Drops>(message.data).map(|message| message.drops);
-                for (wire, input, number) in drops.unwrap_or_default() {
+                for (wire, input, number) in
+                    self.about_the_run::<Drops>(message.data).into_iter().flat_map(|of| of.drops)
+                {
                     state.allowance.take(0)?;
                     self.drops.entry((wire, input)).or_default().insert(number);
                 }
             }
             Carries::Live => {
                 state.allowance.take(message.data.len())?;
-                if let Ok(Live { node, item, readings }) = serde_json::from_slice(message.data) {
+                if let Some(Live { node, item, readings }) = self.about_the_run(message.data) {
                     self.readings.insert((node, item), readings);
                 }
             }
@@ -333,5 +346,16 @@ mod tests {
         metadata.insert(Outcome::NAME, [("status".into(), Outcome::INTERRUPTED.into())].into());
         let error = read(&metadata).unwrap_err().to_string();
         assert!(error.contains("\"osteoflow.outcome\": it lacks \"results\""), "{error}");
+    }
+
+    #[test]
+    fn a_message_about_the_run_that_cannot_be_read_is_told_and_not_left_out() {
+        let mut reading = Gathering::default();
+        let sound = reading.about_the_run::<Drops>(br#"{"drops": [["a.b", "c.d", 3]]}"#).unwrap();
+        assert_eq!((sound.drops.len(), &reading.unreadable), (1, &None));
+        assert!(reading.about_the_run::<Live>(br#"{"node": "a", "item": 1}"#).is_none());
+        assert!(reading.about_the_run::<Drops>(b"").is_none());
+        let told = reading.unreadable.unwrap();
+        assert!(told.starts_with("a message of /run/live cannot be read: missing field `readings`"), "{told}");
     }
 }

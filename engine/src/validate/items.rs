@@ -2,13 +2,16 @@ use super::ValidatedWire;
 use crate::recording::{
     RecordedTypes, codec,
     findings::{Finding, Findings},
-    format::{FIRST_NS, MetadataRecord, MetadataRecords, OPENING, Recovered, WireCount, WireCounts},
+    format::{
+        Drops, FIRST_NS, Live, MetadataRecord, MetadataRecords, OPENING, Recovered, RunMessage, WireCount, WireCounts,
+    },
     number_set::NumberSet,
     scan::{Carried, Gather, PassState},
     wires::{Carries, Wire},
 };
 use osteoflow_container::{Location, Message};
 use osteoflow_node::{Registry, StampNs};
+use serde::de::DeserializeOwned;
 use std::{
     collections::{BTreeMap, BTreeSet},
     ops::ControlFlow,
@@ -268,9 +271,23 @@ impl Gather for Items<'_> {
         match carries {
             Carries::Exact(wire) => self.item(wire, place, message, state),
             Carries::View { wire, encoding } => self.view((wire, encoding), place, message, state),
-            Carries::Drops | Carries::Live | Carries::Other => ControlFlow::Continue(()),
+            Carries::Drops => about_the_run::<Drops>(place, message, state),
+            Carries::Live => about_the_run::<Live>(place, message, state),
+            Carries::Other => ControlFlow::Continue(()),
         }
     }
+}
+
+/// Checks a message about the run that a replay needs.
+fn about_the_run<M: RunMessage + DeserializeOwned>(
+    place: Location,
+    message: &Message<'_>,
+    state: &mut PassState,
+) -> ControlFlow<()> {
+    if let Err(fault) = M::read(message.data) {
+        state.findings.add("run", Finding::new(place, fault));
+    }
+    ControlFlow::Continue(())
 }
 
 /// Whether the bytes are a well-formed protobuf message: complete fields of known wire types.

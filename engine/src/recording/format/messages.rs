@@ -2,15 +2,27 @@
 
 use super::Topic;
 use osteoflow_node::ClockReading;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use serde_json::{Value as Json, json};
 
 /// A message about the run.
-pub(crate) trait RunMessage: Serialize {
+pub(crate) trait RunMessage: Serialize + Sized {
     /// Its topic.
     const TOPIC: Topic<'static>;
     /// The name of its schema, and the JSON Schema.
     const SCHEMA: (&'static str, fn() -> Json);
+
+    /// Reads one.
+    ///
+    /// # Errors
+    /// What is wrong with it, and its topic.
+    fn read(data: &[u8]) -> Result<Self, String>
+    where
+        Self: DeserializeOwned,
+    {
+        serde_json::from_slice(data)
+            .map_err(|error| format!("a message of {} cannot be read: {error}", Self::TOPIC.name()))
+    }
 }
 
 /// Wall-clock times of firings: node, item, start in nanoseconds since the start of the run, duration in nanoseconds.

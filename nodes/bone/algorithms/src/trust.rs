@@ -16,6 +16,7 @@ mod convergence;
 mod cut;
 mod evidence;
 mod extent;
+mod hand_eye;
 mod inside;
 mod judge;
 mod landmarks;

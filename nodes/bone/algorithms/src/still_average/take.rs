@@ -52,9 +52,12 @@ pub struct TakeMotion {
     /// Where the bone's marker was in the world, if the bone has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bone: Option<BonePose>,
+    /// Where the camera was in the frame that the scan was carried to, if it is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera: Option<BonePose>,
 }
 
-/// A pose of a marker in the world.
+/// A pose of a marker in the world, or of the camera.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct BonePose {
     /// Its origin, mm.
@@ -176,6 +179,7 @@ impl TakeMotion {
             time: None,
             unseen: Vec::new(),
             bone: None,
+            camera: None,
         }
     }
 
@@ -255,6 +259,12 @@ impl TakeMotion {
     #[must_use]
     pub fn on_bone(self, t_world_bone_marker: Option<&Isometry3<f64>>) -> Self {
         Self { bone: t_world_bone_marker.map(BonePose::new), ..self }
+    }
+
+    /// While the camera was at this pose in the frame that it is carried to.
+    #[must_use]
+    pub fn seen_from(self, t_frame_camera: Option<&Isometry3<f64>>) -> Self {
+        Self { camera: t_frame_camera.map(BonePose::new), ..self }
     }
 
     /// In another frame.

@@ -14,6 +14,7 @@ use super::convergence::convergence_reason;
 use super::cut::planned_cuts;
 use super::evidence::{Evidence, EvidenceParams, Examined, Registered, When, points_that_matter};
 use super::extent::extent_reason;
+use super::hand_eye::{HAND_EYE, stated_hand_eye, untested_hand_eye};
 use super::inside::inside_reason;
 use super::landmarks::{Compared, LandmarkErrors, landmarks_contradict};
 use super::misfit::{limits_reason, misfit_reason, sensor_assumption, sensor_reason};
@@ -21,7 +22,7 @@ use super::motion::{MotionLimits, motion_signs};
 use super::nuisance::{self, Nuisance, Nuisances};
 use super::on_surface::{facing_away_reason, on_surface_reason};
 use super::planned::{OrderEvidence, landmark_order, order_reason, plan_faults};
-use super::predict::{PredictParams, Predicted, Where, predict};
+use super::predict::{PredictParams, Predicted, SCAN_MOTION, Where, predict};
 use super::predict_last::predict_last;
 use super::rules::RuleParams;
 use super::size::size_reason;
@@ -73,8 +74,10 @@ pub fn judge(case: &Case<'_>, examine: &EvidenceParams, rules: &RuleParams, erro
     let last = scan.predicted.as_ref().and_then(|predicted| predicted.last.as_ref()?.note());
     let sensor = sensor.and_then(|sensor| sensor_assumption(sensor, &rules.limits));
     let twin = case.start.filter(|_| at.is_empty()).and_then(twin_assumption);
-    let assumed = sensor
+    let given = stated_hand_eye(case, errors);
+    let assumed = given
         .into_iter()
+        .chain(sensor)
         .chain(twin)
         .chain(assumed)
         .chain(takes.assumptions)
@@ -271,12 +274,14 @@ impl Judging<'_> {
         nuisances: Option<&Nuisances>,
         smear: Option<&Smear>,
     ) -> Option<Predicted> {
-        let motion = smear.map(|smear| &smear.pose);
+        let motion = smear.map(|smear| (SCAN_MOTION, smear.pose.0, smear.pose.1));
+        let given = untested_hand_eye(self.case, self.errors).map(|(covariance, about)| (HAND_EYE, covariance, about));
+        let others: Vec<_> = motion.into_iter().chain(given).collect();
         let deformation = nuisances.map(Nuisances::deformation);
         let to_settled = examined.to_settled.unwrap_or_else(Isometry3::identity);
         let (tracking, limits) = (self.case.tracking, &self.rules.limits);
         let spread = examined.spread.as_ref()?;
-        Some(predict(spread, &to_settled, deformation.as_ref(), tracking, motion, &self.place, limits, self.errors))
+        Some(predict(spread, &to_settled, deformation.as_ref(), tracking, &others, &self.place, limits, self.errors))
     }
 
     /// Whether the landmarks tell the scan from its mirror image: mirrored, they would lie off by more than their errors.

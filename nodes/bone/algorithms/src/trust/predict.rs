@@ -52,6 +52,13 @@ pub struct PredictParams {
     /// Standard deviation of its attitude against the CAD about each axis, degrees. 0.03: as much over the phantom.
     #[param(0.03, 0.0..=10.0)]
     pub print_deg: f64,
+    /// Standard deviation, per axis, of the camera's place on its marker, mm, where `t_camera_camera_marker` is given and not calibrated in the
+    /// run. 30: unknown, as after an inverted matrix. What the camera's turns between the scan and its landmarks test is left out.
+    #[param(30.0, 0.0..=1000.0)]
+    pub hand_eye_mm: f64,
+    /// Standard deviation of its attitude there about each axis, degrees. 10: unknown.
+    #[param(10.0, 0.0..=180.0)]
+    pub hand_eye_deg: f64,
     /// RMS error of the CT's surface over patches of a centimetre, mm, as stated: by how much it may swell or shrink with the
     /// segmentation's threshold. 0.1: a seventh of a voxel of 0.7 mm. It widens the second interval only, as what varies along
     /// the scan is in the first already.
@@ -98,6 +105,8 @@ pub struct Tracking {
     pub phantom_marker: Option<Point3<f64>>,
     /// Covariance of the phantom's fit: shift (mm) and turn (rad) about a point.
     pub phantom_fit: Option<(Matrix6<f64>, Point3<f64>)>,
+    /// Whether the camera's place on its marker is given, and not calibrated with a phantom in the run.
+    pub is_given: bool,
 }
 
 impl Tracking {
@@ -119,6 +128,7 @@ impl Tracking {
             camera_marker: t * (seen.t_camera_camera_marker * Point3::origin()),
             phantom_marker: seen.t_camera_phantom_marker.map(|marker| t * (marker * Point3::origin())),
             phantom_fit,
+            is_given: seen.t_camera_phantom_marker.is_none() && calibration.is_none(),
         }
     }
 }
@@ -259,13 +269,13 @@ impl Predicted {
 }
 
 /// Covariance of a rigid error that acts about `about`, as shift and turn about `centre`.
-fn carried(covariance: &Matrix6<f64>, about: &Point3<f64>, centre: &Point3<f64>) -> Matrix6<f64> {
+pub(super) fn carried(covariance: &Matrix6<f64>, about: &Point3<f64>, centre: &Point3<f64>) -> Matrix6<f64> {
     let mut j = Matrix6::identity();
     j.fixed_view_mut::<3, 3>(0, 3).copy_from(&-(centre - about).cross_matrix());
     j * covariance * j.transpose()
 }
 
-fn isotropic(mm: f64, deg: f64) -> Matrix6<f64> {
+pub(super) fn isotropic(mm: f64, deg: f64) -> Matrix6<f64> {
     let rad = deg.to_radians();
     Matrix6::from_diagonal(&Vector6::new(mm, mm, mm, rad, rad, rad).map(|sd| sd * sd))
 }
@@ -294,7 +304,7 @@ fn stated(tracking: &Tracking, centre: &Point3<f64>, params: &PredictParams) -> 
 /// for surface registration.
 ///
 /// `to_settled` is the motion from the pose to the one at which the scan fits best nearby: an error that the pose is known to
-/// have, about which the others spread; a posterior has its own. `motion` is the error of the pose by the motion while the scan was taken, and the point about which it
+/// have, about which the others spread; a posterior has its own. `others` are more errors of the pose, by name, each with the point about which it
 /// acts.
 #[expect(clippy::too_many_arguments, reason = "each is another source of error, or where and how it is told")]
 pub fn predict(
@@ -302,7 +312,7 @@ pub fn predict(
     to_settled: &Isometry3<f64>,
     deformation: Option<&Deformation<'_>>,
     tracking: Option<&Tracking>,
-    motion: Option<&(Matrix6<f64>, Point3<f64>)>,
+    others: &[(&'static str, Matrix6<f64>, Point3<f64>)],
     at: &Where<'_>,
     limits: &Limits,
     params: &PredictParams,
@@ -314,10 +324,10 @@ pub fn predict(
     let scan = (params.scan_mm > 0.0).then(|| ("shift of the scan", isotropic(params.scan_mm, 0.0)));
     let fit = tracking.and_then(|tracking| tracking.phantom_fit.as_ref());
     let fit = fit.map(|(covariance, about)| ("phantom's fit", carried(covariance, about, &centre)));
-    let motion = motion.map(|(covariance, about)| (SCAN_MOTION, carried(covariance, about, &centre)));
+    let others = others.iter().map(|(name, covariance, about)| (*name, carried(covariance, about, &centre)));
     let registration = deformation.is_none().then_some(("registration", spread.covariance));
     let terms: Vec<(&str, Matrix6<f64>)> =
-        registration.into_iter().chain(scan).chain(motion).chain(stated.iter().copied()).chain(fit).collect();
+        registration.into_iter().chain(scan).chain(others).chain(stated.iter().copied()).chain(fit).collect();
     let settles = deformation.is_none();
     let shift = if settles { to_settled * centre - centre } else { Vector3::zeros() };
     let turn = if settles { to_settled.rotation.scaled_axis() } else { Vector3::zeros() };

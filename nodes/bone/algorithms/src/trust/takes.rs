@@ -12,6 +12,8 @@ pub struct Takes<'a> {
     pub located: &'a [TakeMotion],
     /// At the touches of a stylus.
     pub touched: &'a [TakeMotion],
+    /// The largest distance of a laser scan, on which a landmark was located, from the scan, mm.
+    pub apart_mm: Option<f64>,
     /// The planes as last followed, in the world.
     pub last: Option<&'a Planes>,
 }

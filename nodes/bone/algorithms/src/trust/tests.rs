@@ -1,3 +1,4 @@
+mod hand_eye;
 mod whole;
 mod world;
 
@@ -323,7 +324,7 @@ fn the_predicted_interval_holds_nine_tenths_of_the_errors_of_its_own_model() {
         &Isometry3::identity(),
         None,
         None,
-        None,
+        &[],
         &place,
         &Limits::default(),
         &PredictParams::default(),

@@ -1,6 +1,7 @@
 //! Whether the residuals leave the answer uncertain.
 
 use super::evidence::Evidence;
+use super::hand_eye::HAND_EYE;
 use super::predict::Predicted;
 use super::rules::RuleParams;
 use osteoflow_verdict::{Answer, Reason};
@@ -17,6 +18,20 @@ pub(super) fn spread_reason(predicted: Option<&Predicted>, evidence: &Evidence, 
     // Of what is at fault beside the pose the cause is told.
     let sound = predicted.beyond_by.first().copied().unwrap_or(0.0);
     let percent = 100.0 * sound;
+    let given_mm = predicted.terms.iter().find(|term| term.name == HAND_EYE).map_or(0.0, |term| term.tre_mm);
+    if sound > rules.max_beyond_limits && given_mm > spread_mm.max(unsettled_mm) {
+        return Some(Reason::new(
+            "hand_eye",
+            Answer::Doubtful,
+            format!(
+                "t_camera_camera_marker was given, not calibrated here, and nothing tests it to better than {given_mm:.1} mm (RMS) at the \
+                 assessment points and cuts: a wrong one displaces all scans of a camera that rests alike"
+            ),
+            "touch the assessment points with a stylus, or read a check piece after the scan; and state the matrix's error, as its \
+             calibration told it (errors.hand_eye_mm, errors.hand_eye_deg), or turn the camera about the bone between scan and landmarks and wire \
+             their reports to located_report; of a calibration in the run, wire its report to calibration",
+        ));
+    }
     (sound > rules.max_beyond_limits).then(|| match unsettled_mm > spread_mm {
         true => Reason::new(
             "unsettled",

@@ -4,6 +4,7 @@ use super::loosened::loosened;
 use crate::transform::points::in_one_list;
 use osteoflow_algorithms::calibrate::PhantomReport;
 use osteoflow_algorithms::coarse::GlobalReport;
+use osteoflow_algorithms::hole::HoleReport;
 use osteoflow_algorithms::metrics::{CheckReport, TreReport};
 use osteoflow_algorithms::slide::SlideReport;
 use osteoflow_algorithms::still_average::TakeMotion;
@@ -121,6 +122,10 @@ pub struct In {
     /// The landmarks as located.
     #[port(join = "collect", n = 3)]
     located: Vec<Option<Points>>,
+    /// The reports of how they were located: `scan_residual_mm`, the distance of each laser scan from the scan, tests a
+    /// `t_camera_camera_marker` that is given.
+    #[port(join = "collect", n = 3)]
+    located_report: Vec<Option<HoleReport>>,
     /// The planned assessment points: the error is predicted there.
     #[port(join = "once", frame = "target")]
     assessment: Option<Points>,
@@ -137,7 +142,7 @@ pub struct In {
     /// The report of the calibration.
     #[port(join = "once")]
     calibration: Option<PhantomReport>,
-    /// The calibration: where the camera sits on its marker.
+    /// Where the camera sits on its marker: the calibration's, or given. A given one is tested by the camera's turns between the scan and the landmarks.
     #[port(join = "once")]
     t_camera_camera_marker: Option<Pose>,
     /// Where the camera saw the phantom's marker.
@@ -217,10 +222,12 @@ impl Registration {
         // Touches that measured nothing do not matter.
         let touched_motion: Vec<TakeMotion> =
             i.touched_motion.into_iter().flatten().filter(|_| i.measured.is_some()).collect();
+        let apart_mm = i.located_report.iter().flatten().map(|report| report.scan_residual_mm);
         let takes = Takes {
             scan: i.take_motion.as_ref(),
             located: &located_motion,
             touched: &touched_motion,
+            apart_mm: apart_mm.max_by(f64::total_cmp),
             last: i.followed.as_ref(),
         };
         let case = Case {

@@ -27,6 +27,7 @@ fn tracking() -> Tracking {
         camera_marker: Point3::new(-150.0, 40.0, 300.0),
         phantom_marker: Some(Point3::new(80.0, -30.0, 90.0)),
         phantom_fit: Some((diagonal([0.02, 0.03, 0.01, 1e-4, 2e-4, 3e-4]), Point3::new(70.0, 0.0, 50.0))),
+        is_given: false,
     }
 }
 
@@ -43,7 +44,7 @@ fn predicted_with(errors: &PredictParams) -> Predicted {
     let to_settled = Isometry3::new(Vector3::new(0.1, -0.2, 0.3), Vector3::new(0.002, 0.001, -0.003));
     let spread = spread([0.1, 0.2, 0.3, 0.002, 0.001, 0.004]);
     let limits = Limits { max_tre_mm: 0.8, max_offset_mm: 0.9, max_tilt_deg: 0.4 };
-    predict(&spread, &to_settled, None, Some(&tracking()), None, &at, &limits, errors)
+    predict(&spread, &to_settled, None, Some(&tracking()), &[], &at, &limits, errors)
 }
 
 #[test]
@@ -147,7 +148,7 @@ fn the_mean_error_of_a_gaussian_shift_is_that_of_maxwell() {
     let at = Where { points: &place, cuts: &[], limited: &[] };
     let spread = Spread { bias: Matrix6::zeros(), ..spread([0.5, 0.5, 0.5, 0.0, 0.0, 0.0]) };
     let predicted =
-        predict(&spread, &Isometry3::identity(), None, None, None, &at, &Limits::default(), &PredictParams::default());
+        predict(&spread, &Isometry3::identity(), None, None, &[], &at, &Limits::default(), &PredictParams::default());
     let set = predicted.assessment.unwrap();
     let mean = 0.5 * (8.0 / std::f64::consts::PI).sqrt();
     assert!((set.mean_tre_mm / mean - 1.0).abs() < 0.02, "{} instead of {mean} mm", set.mean_tre_mm);
@@ -216,7 +217,7 @@ fn deformed(of: &[[f64; 3]]) -> Predicted {
     let spread = Spread { bias: Matrix6::zeros(), ..spread([0.01, 0.01, 0.01, 0.0, 0.0, 0.0]) };
     let limits = Limits { max_tre_mm: 9.0, max_offset_mm: 9.0, max_tilt_deg: 0.5 };
     let deformation = (!of.is_empty()).then_some(&deformation);
-    predict(&spread, &Isometry3::identity(), deformation, None, None, &at, &limits, &PredictParams::default())
+    predict(&spread, &Isometry3::identity(), deformation, None, &[], &at, &limits, &PredictParams::default())
 }
 
 #[test]
