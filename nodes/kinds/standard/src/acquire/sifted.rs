@@ -27,7 +27,7 @@ pub struct PoseStreamParams {
     pub lost_after_ms: Option<f64>,
     /// Time for which poses may be the same to the last bit while their stamps go on. Beyond it the tracker is frozen, and the
     /// port gives empties that say why until the pose changes. Unset: three times as long as this tracker repeats poses by
-    /// chance, and 500 to 2000: at rest one that rounds to 0.1 mm repeats a pose for up to 0.85 s. 0: never, for a constant.
+    /// chance, within 500 to 2000: at rest one that rounds to 0.1 mm repeats a pose for up to 0.85 s. 0: never, for a constant.
     #[schemars(range(min = 0.0, max = 3_600_000.0))]
     pub frozen_after_ms: Option<f64>,
     /// How a marker moves at most: poses that contradict it, or their neighbours, are left out and counted.
