@@ -90,7 +90,7 @@ fn inspect_prints_the_same_as_text_and_as_json() {
     assert_eq!(json["kind"], "icp.point_to_plane");
     for port in json["inputs"].as_array().unwrap() {
         let name = port["name"].as_str().unwrap();
-        assert!(text.contains(&format!("| `{name}` |")), "{name} is not in\n{text}");
+        assert!(text.contains(&format!("- `{name}` (")), "{name} is not in\n{text}");
     }
     let all = osteoflow().args(["inspect", "--format", "json"]).assert().success();
     let all: serde_json::Value = serde_json::from_slice(&all.get_output().stdout).unwrap();

@@ -31,7 +31,7 @@ fn every_shipped_module_is_checked_alone_and_described_by_inspect() {
             for entry in answer[part].as_array().unwrap() {
                 let name = entry["name"].as_str().unwrap();
                 assert!(!entry["doc"].as_str().unwrap().is_empty(), "{module}: {part} {name} has no doc");
-                assert!(page.contains(&format!("| `{name}` |")), "{page}");
+                assert!(page.contains(&format!("- `{name}` (")), "{page}");
             }
         }
         let text = fs::read_to_string(root().join(module)).unwrap();

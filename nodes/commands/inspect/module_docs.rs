@@ -1,6 +1,6 @@
 //! Markdown documentation of a module.
 
-use super::node_docs::{cell, heading};
+use super::node_docs::{Entry, FirstKinds, list};
 use osteoflow_engine::check::ModuleDescription;
 use std::fmt::Write as _;
 
@@ -10,27 +10,28 @@ pub(crate) fn markdown(of: &ModuleDescription, file: &str) -> String {
     if !of.doc.is_empty() {
         let _ = write!(out, "\n{}\n", of.doc.trim());
     }
-    out += &heading("Inputs", of.inputs.is_empty(), "| Input | Takes | Join | Feeds | |");
-    for input in &of.inputs {
-        let doc = if input.optional { format!("Optional. {}", input.doc) } else { input.doc.clone() };
+    let inputs = of.inputs.iter().map(|input| {
         let joins: Vec<_> = input.joins.iter().map(|join| format!("`{join}`")).collect();
-        let (joins, to, doc) = (joins.join(", "), code(&input.to), cell(&doc));
-        let _ = writeln!(out, "| `{}` | `{}` | {joins} | {to} | {doc} |", input.name, input.payload);
-    }
-    out += &heading("Outputs", of.outputs.is_empty(), "| Output | Gives | Wire within | |");
-    for output in &of.outputs {
-        let _ =
-            writeln!(out, "| `{}` | `{}` | `{}` | {} |", output.name, output.payload, output.from, cell(&output.doc));
-    }
-    out += &heading("Parameters", of.params.is_empty(), "| Name | Default | Sets | |");
-    for param in &of.params {
+        let optional = if input.optional { "optional" } else { "" };
+        let traits = vec![format!("`{}`", input.payload), joins.join(", "), optional.into()];
+        Entry::new(&input.name, traits, code(&input.to), &input.doc)
+    });
+    let outputs = of.outputs.iter().map(|output| {
+        let (payload, from) = (format!("`{}`", output.payload), format!("`{}`", output.from));
+        Entry::new(&output.name, vec![payload], from, &output.doc)
+    });
+    let params = of.params.iter().map(|param| {
         let default = match (&param.default, param.required) {
             (_, true) => "required".into(),
             (Some(default), _) => format!("`{default}`"),
             (None, _) => String::new(),
         };
-        let _ = writeln!(out, "| `{}` | {default} | {} | {} |", param.name, code(&param.to), cell(&param.doc));
-    }
+        Entry::new(&param.name, vec![default], code(&param.to), &param.doc)
+    });
+    let mut section = |title, entries: Vec<Entry>| list(&mut out, title, &entries, "", &mut FirstKinds::new());
+    section("**Inputs** (type, join, what it feeds)", inputs.collect());
+    section("**Outputs** (type, wire within)", outputs.collect());
+    section("**Parameters** (default, what it sets)", params.collect());
     out += "\n**Nodes**\n\n";
     for (name, kind) in &of.nodes {
         let _ = writeln!(out, "- `{name}`: {kind}");

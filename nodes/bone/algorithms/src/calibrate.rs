@@ -74,60 +74,58 @@ const JUST_OUTSIDE_MM: f64 = 1e-3;
 #[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 pub struct PhantomParams {
-    /// Pairs farther apart are not used at the start, mm. 10: a nominal pose is good to a few mm and about 2 degrees.
+    /// Pairs farther apart are not used at the start. 10: a nominal pose is good to a few mm and about 2 degrees.
     #[param(10.0, 0.1..=1000.0)]
     pub max_pair_distance_mm: f64,
-    /// Pairs farther apart than this many standard deviations have no weight in the last steps, after a first fit by all
-    /// pairs. 6: things around the phantom are left out, but no face of the phantom is, even if few points are on it.
+    /// Pairs farther apart than this many standard deviations have no weight in the last steps. 6: things around the phantom
+    /// are left out, but none of its faces, even with few points.
     #[param(6.0, 1.0..=1000.0)]
     pub gate_sigmas: f64,
-    /// Smooth error of the camera's depth, mm, which a motion of the phantom may hide, so that it is not seen in the
-    /// residuals. 0.05: a structured-light camera after its own calibration, assumed; over about 20 mm it is the same.
+    /// Smooth error of the camera's depth, the same over about 20 mm, which a motion of the phantom may hide from the
+    /// residuals. 0.05: assumed, a structured-light camera after its own calibration.
     #[param(0.05, 0.0..=100.0)]
     pub smooth_mm: f64,
     /// Maximum number of steps. 200: ten times what a phantom takes.
     #[param(200, 1..=100000)]
     pub max_iterations: u32,
-    /// Points drawn from the CAD's surface. 40000: less than a millimetre apart on a cube of 60 mm; on flat faces the
-    /// spacing does not matter.
+    /// Points drawn from the CAD's surface. 40000: less than a millimetre apart on a cube of 60 mm.
     #[param(40_000, 100..=10000000)]
     pub n_samples: u32,
-    /// Distance from the camera at which the error caused by the calibration is reported, mm. 200: the paper's.
+    /// Distance from the camera for which the calibration's error is reported. 200: the paper's.
     #[param(200.0, 1.0..=10000.0)]
     pub working_distance_mm: f64,
-    /// Maximum RMS distance of the used pairs from the CAD's faces, mm. 0.5: ten times the camera's noise; above it the
-    /// start was wrong, or it is another phantom.
+    /// Maximum RMS distance of the used pairs from the CAD's faces. 0.5: ten times the camera's noise; more is a wrong start or
+    /// another phantom.
     #[param(0.5, 0.001..=100.0)]
     pub max_rms_mm: f64,
-    /// Maximum RMS of what the scan's own noise does not explain of the distances from the CAD's faces, mm. 0.2: four times
-    /// a camera's smooth error; a wrong fit or another phantom leaves more.
+    /// Maximum RMS of those distances that the scan's own noise does not explain. 0.2: four times a camera's smooth error; a
+    /// wrong fit or another phantom leaves more.
     #[param(0.2, 0.001..=100.0)]
     pub max_excess_mm: f64,
-    /// Maximum share of the points within `max_pair_distance_mm` that lie farther than `3 max_rms_mm` from the CAD's
-    /// faces.
-    /// 0.2: a little of a table may be near the phantom, but a face that lies elsewhere is another phantom.
+    /// Maximum share of the points within `max_pair_distance_mm` that lie farther than `3 max_rms_mm` from the CAD's faces.
+    /// 0.2: some of a table may be near; a face that lies elsewhere is another phantom.
     #[param(0.2, 0.0..=1.0)]
     pub max_off_share: f64,
-    /// Maximum share of the scan that the camera sees through the CAD, by 2 mm and six standard deviations of the noise or more. 0.003:
-    /// simulated sound scans with the errors of measured ones give none.
+    /// Maximum share of the scan that the camera sees through the CAD, by at least 2 mm and six standard deviations of the
+    /// noise. 0.003: sound simulated scans with measured errors have none.
     #[param(0.003, 0.0..=1.0)]
     pub max_through_share: f64,
-    /// Maximum share of the scan that is before the CAD, by as much. 0.003: as for the former.
+    /// Maximum share of the scan before the CAD, by as much. 0.003: likewise.
     #[param(0.003, 0.0..=1.0)]
     pub max_before_share: f64,
-    /// Maximum median distance of a seen face of the CAD from its points, mm. 0.4: simulated scans with
-    /// the errors of measured ones stay below 0.2.
+    /// Maximum median distance of a seen face of the CAD from its points. 0.4: simulated scans with measured errors stay below
+    /// 0.2.
     #[param(0.4, 0.0..=100.0)]
     pub max_part_off_mm: f64,
-    /// Maximum deviation of the scan's scale from 1, unless it is within four of its standard deviations. 0.02: it moves the
+    /// Maximum deviation of the scan's scale from 1, unless within four of its standard deviations. 0.02: it moves the
     /// calibration by 4 mm.
     #[param(0.02, 0.0..=1.0)]
     pub max_scale_error: f64,
-    /// Maximum distance between the nominal pose and the fit, at the camera or at the phantom, whichever is less, mm. 15: a
-    /// nominal pose is good to a few mm.
+    /// Maximum distance between the nominal pose and the fit, at the camera or the phantom, whichever is less. 15: a nominal
+    /// pose is good to a few mm.
     #[param(15.0, 0.0..=10000.0)]
     pub max_moved_mm: f64,
-    /// Maximum angle between the nominal pose and the fit, degrees. 10: five times what a nominal pose is good to.
+    /// Maximum angle between the nominal pose and the fit. 10: five times what a nominal pose is good to.
     #[param(10.0, 0.0..=180.0)]
     pub max_moved_deg: f64,
 }

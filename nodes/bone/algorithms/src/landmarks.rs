@@ -23,13 +23,13 @@ const SECTION_REACH_MM: f64 = 60.0;
 #[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 pub struct RecipeParams {
-    /// P1 above the tip of the malleolus, along the bone, mm. 100: clear of the ankle, where a graft may be taken.
+    /// P1 above the tip of the malleolus, along the bone. 100: clear of the ankle, where a graft may be taken.
     #[param(100.0, 1.0..=1000.0)]
     pub p1_from_tip_mm: f64,
-    /// P2 above P1, along the bone, mm. 30: the paper's d12.
+    /// P2 above P1, along the bone. 30: the paper's d12.
     #[param(30.0, -500.0..=500.0)]
     pub p2_from_p1_mm: f64,
-    /// P3 above P1, along the bone, mm. 25: the paper's d13, which we read from P1.
+    /// P3 above P1, along the bone. 25: the paper's d13, read as from P1.
     #[param(25.0, -500.0..=500.0)]
     pub p3_from_p1_mm: f64,
 }

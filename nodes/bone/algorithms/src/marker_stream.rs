@@ -38,17 +38,17 @@ const N_JUDGED: usize = 3;
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct MotionLimits {
-    /// Largest speed of a marker that a hand carries. 1000 mm/s: three times that of a leg that is carried, and what a hand reaches
-    /// freely; reached within 0.25 s. 0: poses are given as they are.
+    /// Largest speed of a marker in a hand, reached within 0.25 s. 1000: three times that of a leg that is carried, and what a
+    /// hand reaches freely. 0: poses are given as they are.
     #[param(1000.0, 0.0..=100_000.0)]
     pub hand_mm_s: f64,
-    /// Largest speed of its rotation. 300 degrees/s: a stylus that is turned about its tip; reached within 0.25 s.
+    /// Largest speed of its rotation, reached within 0.25 s. 300: a stylus that is turned about its tip.
     #[param(300.0, 0.0..=100_000.0)]
     pub hand_deg_s: f64,
-    /// Amplitude with which a saw shakes a marker faster than the tracker follows. 2 mm: half of the stroke of a saw's blade.
+    /// Amplitude with which a saw shakes a marker faster than the tracker follows. 2: half the stroke of a saw's blade.
     #[param(2.0, 0.0..=1000.0)]
     pub saw_mm: f64,
-    /// Amplitude of its rotation. 1 degree: 2 mm over the 115 mm from the middle of a cut to a marker.
+    /// Amplitude of its rotation. 1: 2 mm over the 115 mm from the middle of a cut to a marker.
     #[param(1.0, 0.0..=180.0)]
     pub saw_deg: f64,
 }

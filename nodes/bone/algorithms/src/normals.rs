@@ -22,7 +22,7 @@ pub struct NormalParams {
     /// Neighbours of a point, itself included. 24: averages depth noise of a quarter of the point spacing to 3 degrees.
     #[param(24, 3..=1000)]
     pub neighbours: u32,
-    /// Maximum distance of a neighbour, mm. 3: a quarter of a fibula's thickness, beyond which it bends away.
+    /// Maximum distance of a neighbour. 3: a quarter of a fibula's thickness, beyond which it bends away.
     #[param(3.0, 1e-3..=1e3)]
     pub max_distance_mm: f64,
 }

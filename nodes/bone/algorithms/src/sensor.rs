@@ -80,24 +80,24 @@ impl SensorKind {
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SensorParams {
-    /// The sensor by its name; what else is stated counts instead of what is taken for it.
+    /// The sensor by its name. What is stated beside it replaces its values.
     pub like: Option<SensorKind>,
-    /// Error of single points across the surface, which neighbours do not share, mm (standard deviation).
+    /// Error of single points across the surface, which neighbours do not share (standard deviation).
     #[param(None, 0.0..=100.0)]
     pub noise_mm: Option<f64>,
-    /// Error that neighbours share, mm (standard deviation).
+    /// Error that neighbours share (standard deviation).
     #[param(None, 0.0..=100.0)]
     pub patch_mm: Option<f64>,
-    /// Error that the whole scan shares along the surface's normal, mm (standard deviation).
+    /// Error that the whole scan shares along the surface's normal (standard deviation).
     #[param(None, 0.0..=100.0)]
     pub bias_mm: Option<f64>,
-    /// Shift of the whole scan along each axis, as of a probe's calibration, mm (standard deviation).
+    /// Shift of the whole scan along each axis, as of a probe's calibration (standard deviation).
     #[param(None, 0.0..=100.0)]
     pub shift_mm: Option<f64>,
     /// Share of points that are off by more.
     #[param(None, 0.0..=1.0)]
     pub outliers: Option<f64>,
-    /// Radius of the ball of a stylus' tip, mm: the surface is taken as much outside, where the ball's middle was. Negative: inside.
+    /// Radius of the ball of a stylus' tip: the surface is moved outside by it, where the ball's middle was. Negative: inside.
     #[param(None, -100.0..=100.0)]
     pub tip_radius_mm: Option<f64>,
 }

@@ -41,22 +41,22 @@ const RECENTRE_SHARE: f64 = 0.5;
 #[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 pub struct SlideParams {
-    /// How far along the bone minima are looked for, mm, both ways. 30: three times the largest error of a mark that is ruled
-    /// from the malleolus (section 3.2.3 of the paper).
+    /// How far along the bone minima are searched, both ways. 30: three times the largest error of a mark ruled from the
+    /// malleolus (section 3.2.3 of the paper).
     #[param(30.0, 1.0..=200.0)]
     pub along_mm: f64,
-    /// How far around the bone minima are looked for, degrees, both ways. 60: twice the error of a coarse fit by three marks
-    /// on a bent bone.
+    /// How far around the bone minima are searched, both ways. 60: twice the error of a coarse fit by three marks on a bent
+    /// bone.
     #[param(60.0, 1.0..=180.0)]
     pub around_deg: f64,
-    /// Noise floor of the scan, mm. 0.07: as of the ICP.
+    /// Noise floor of the scan. 0.07: as of the ICP.
     #[param(0.07, 0.001..=10.0)]
     pub noise_mm: f64,
-    /// Undetermined along the bone if the residuals do not tell the result from a place farther away than this, mm. 10: the
-    /// error of a mark that is ruled, so the scan would add nothing to it.
+    /// Undetermined along the bone if the residuals do not tell the result from a place this far away. 10: the error of a ruled
+    /// mark, to which the scan would add nothing.
     #[param(10.0, 0.1..=200.0)]
     pub undetermined_mm: f64,
-    /// Undetermined around the bone, likewise, degrees. 30.
+    /// Undetermined around the bone, likewise. 30.
     #[param(30.0, 0.1..=180.0)]
     pub undetermined_deg: f64,
 }

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct TrackLimits {
-    /// Maximum RMS residual of the inliers. 0.5 mm: five times what a camera's noise of 0.05 mm leaves.
+    /// Maximum RMS residual of the inliers. 0.5: five times what a camera's noise of 0.05 mm leaves.
     #[param(0.5, 0.0..=100.0)]
     pub max_rms_mm: f64,
     /// Minimum share of the scan's points that are inliers. 0.5: the smaller half may be tissue.

@@ -20,63 +20,60 @@ use std::f64::consts::{PI, TAU};
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct BoneParams {
-    /// From malleolus tip to the top of the head. 350 mm: within the 336 to 360 mm of the two measured fibulas that the
-    /// development data holds.
+    /// From malleolus tip to the top of the head. 350: the two measured fibulas of the development data have 336 to 360.
     #[param(350.0, 250.0..=450.0)]
     pub length_mm: f64,
     /// Scales every section. 1: a shaft 11 to 15 mm across, as in those two bones.
     #[param(1.0, 0.6..=1.6)]
     pub girth: f64,
-    /// Seed of the bone's unevenness; another seed is another bone of the same kind. Not the run's seed: repeated
-    /// procedures are on one bone.
+    /// Seed of the unevenness: another bone of the same kind. Not the run's seed, as repeated procedures are on one bone.
     #[param(1)]
     pub shape_seed: u64,
-    /// Standard deviation of the unevenness drawn by `shape_seed`; 0 gives the smooth formula. 0.35 mm: assumed; with
-    /// it the bone's weakest mode lies between those of the two measured fibulas, see docs/method/simulation.md.
+    /// Standard deviation of the unevenness; 0 is the smooth formula. 0.35: assumed; the bone's weakest mode then lies between
+    /// those of the two measured fibulas (docs/method/simulation.md).
     #[param(0.35, 0.0..=1.0)]
     pub unevenness_mm: f64,
-    /// Length of the mesh's edges along the bone, and about that around it. 1 mm: as a segmented clinical CT gives.
+    /// Length of the mesh's edges along the bone, and about that around it. 1: a segmented clinical CT.
     #[param(1.0, 0.3..=5.0)]
     pub edge_mm: f64,
     /// Centre of the bone in the CT frame. Far from the origin, as in every CT.
     #[param([-90.0, -85.0, -890.0])]
     pub centre_mm: [f64; 3],
-    /// Whether the bone is its mirror image, with its anatomy and plan: a right bone becomes a left one in the same
-    /// place. Also for a bone of your own. false: off; true in plan and surface alone is the CT of the other leg.
+    /// Whether the bone, or `bone_file`, is its mirror image in the same place, with anatomy and plan. false: off; true in plan
+    /// and surface alone is the CT of the other leg.
     pub mirrored: bool,
-    /// RMS displacement of the bone, with its anatomy and plan, by a smooth field of wavelengths from 40 to 120 mm. Also
-    /// for a bone of your own. 0: off; with `mirrored` and 0.8 (assumed) it is the other leg of the same person.
+    /// RMS displacement of the bone or `bone_file`, with anatomy and plan, by a smooth field of wavelengths from 40 to 120 mm.
+    /// 0: off; 0.8 (assumed) with `mirrored` is the same person's other leg.
     #[param(0.0, 0.0..=3.0)]
     pub warp_mm: f64,
-    /// Seed of that field. Not the run's seed: repeated procedures are on one bone.
+    /// Seed of that field. Not the run's seed, as repeated procedures are on one bone.
     #[param(1)]
     pub warp_seed: u64,
-    /// Excess of the length along the CT's z, with anatomy and plan: a CT that was read with slices farther apart than they
-    /// are. 0: off; 4 for slices of 0.625 mm read as 0.65 mm. As all that follow, it is for plan and surface and not for
-    /// the recording, and for a bone of your own too.
+    /// Excess of the length along the CT's z, with anatomy and plan: slices read as farther apart than they are. This and what
+    /// follows is for plan and surface, not for the recording, and for `bone_file`, too. 0: off; 4: slices of 0.625 mm read as
+    /// 0.65 mm.
     #[param(0.0, -20.0..=20.0)]
     pub stretch_percent: f64,
-    /// Excess of all lengths. 0: off; negative for a bone that has grown since its CT, or a CT of a wrong pixel size.
+    /// Excess of all lengths. 0: off; negative: the bone has grown since its CT, or the pixel size is wrong.
     #[param(0.0, -20.0..=20.0)]
     pub growth_percent: f64,
-    /// Tilt of the gantry, left out when the slices were stacked: y is larger by tan(angle) times z. 0: off; 10 to 20 in
+    /// Tilt of the gantry that was ignored when the slices were stacked: y is larger by tan(angle) times z. 0: off; 10 to 20 in
     /// CTs of the head.
     #[param(0.0, -45.0..=45.0)]
     pub gantry_deg: f64,
-    /// Bend towards lateral: sagitta of the arc over 100 mm of a straight bone. 0: off, a bone that has not yielded.
+    /// Bend towards lateral: sagitta of the arc over 100 mm of a straight bone. 0: off.
     #[param(0.0, -20.0..=20.0)]
     pub bend_mm: f64,
     /// Twist about the long axis over 100 mm. 0: off.
     #[param(0.0, -30.0..=30.0)]
     pub twist_deg: f64,
-    /// Displacement of the distal part towards lateral. 0: off, a bone that is whole; a fracture, or a part that loosened
-    /// since the CT.
+    /// Displacement of the distal part towards lateral: a fracture, or a part that loosened since the CT. 0: off.
     #[param(0.0, -30.0..=30.0)]
     pub step_mm: f64,
-    /// Rotation of the distal part, about the posterior direction through the bone at the step. 0: off.
+    /// Rotation of the distal part about the posterior direction through the bone at the step. 0: off.
     #[param(0.0, -45.0..=45.0)]
     pub step_deg: f64,
-    /// The step's place, along the bone from the malleolus tip. 118 mm: the middle of the default scan.
+    /// Place of the step along the bone, from the malleolus tip. 118: the middle of the default scan.
     #[param(118.0, 0.0..=450.0)]
     pub step_at_mm: f64,
 }

@@ -20,43 +20,41 @@ use serde::{Deserialize, Serialize};
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CtParams {
-    /// Edge of the cubic voxels. 0.7 mm: a clinical CT of the leg.
+    /// Edge of the cubic voxels. 0.7: a clinical CT of the leg.
     #[param(0.7, 0.2..=3.0)]
     pub voxel_mm: f64,
-    /// Standard deviation of the scanner's point spread. 0.5 mm: assumed, 1.2 mm full width at half maximum.
+    /// Standard deviation of the scanner's point spread. 0.5: assumed, 1.2 mm full width at half maximum.
     #[param(0.5, 0.0..=3.0)]
     pub blur_mm: f64,
-    /// Standard deviation of a voxel's noise, in HU. 50: assumed, a low-dose bone protocol.
+    /// Standard deviation of a voxel's noise. 50: assumed, a low-dose bone protocol.
     #[param(50.0, 0.0..=500.0)]
     pub noise_hu: f64,
-    /// Correlation length of the noise, as a standard deviation. 0.5 mm: assumed, as the blur.
+    /// Correlation length of the noise, as a standard deviation. 0.5: assumed, as the blur.
     #[param(0.5, 0.0..=3.0)]
     pub noise_correlation_mm: f64,
-    /// Soft tissue around the bone, in HU. 50: muscle.
+    /// Soft tissue around the bone. 50: muscle.
     #[param(50.0, -1000.0..=500.0)]
     pub tissue_hu: f64,
-    /// The bone, in HU, filled, as only its outer surface is extracted. 1250: cortical bone.
+    /// Bone, filled, as only its outer surface is extracted. 1250: cortical bone.
     #[param(1250.0, 200.0..=3000.0)]
     pub bone_hu: f64,
-    /// Threshold of the segmentation, in HU. 650: half-way, where blur moves a flat wall least; a lower one swells the
-    /// bone.
+    /// Threshold of the segmentation. 650: half-way, where blur moves a flat wall least; a lower one swells the bone.
     #[param(650.0, -500.0..=2500.0)]
     pub threshold_hu: f64,
-    /// Number of smoothing steps (Taubin's, which do not shrink). 0: off, as segmented; programs often take 10 to 20.
+    /// Number of smoothing steps (Taubin's, which do not shrink). 0: off; programs often take 10 to 20.
     #[param(0, 0..=1000)]
     pub smoothing: u32,
-    /// RMS of smooth bumps of the surface along its normals, as of cartilage or a segmentation by hand. 0: off.
+    /// RMS of smooth bumps along the surface's normals, as of cartilage or a segmentation by hand. 0: off.
     #[param(0.0, 0.0..=3.0)]
     pub bumps_mm: f64,
-    /// The wavelength of those bumps. 20 mm: assumed, a few along a scan.
+    /// Their wavelength. 20: assumed, a few along a scan.
     #[param(20.0, 2.0..=500.0)]
     pub bumps_wavelength_mm: f64,
-    /// Distance by which the surface is moved outward along its normals: a segmentation at too low a threshold, or less
-    /// than 0 at too high a one. 0: off. The plan stays.
+    /// Distance by which the surface is moved outward along its normals: too low a threshold; negative: too high a one. The
+    /// plan stays. 0: off.
     #[param(0.0, -3.0..=3.0)]
     pub offset_mm: f64,
-    /// Seed of the grid's position, the noise and the bumps. None: the run's seed; a number for many procedures on one
-    /// patient, who has one CT.
+    /// Seed of the grid's position, the noise and the bumps. None: the run's seed; a number keeps one CT in many procedures.
     pub scan_seed: Option<u64>,
 }
 

@@ -48,107 +48,105 @@ pub struct CameraParams {
     /// Points of each cloud. 20,000: the paper's.
     #[param(20_000, 100..=500_000)]
     pub n_points: usize,
-    /// Distance from the camera to the bone's surface. 200 mm: the paper's working distance.
+    /// Distance from the camera to the bone's surface. 200: the paper's working distance.
     #[param(200.0, 50.0..=1000.0)]
     pub working_distance_mm: f64,
-    /// Start of the stripped bone, along the bone from the malleolus tip. 70 mm: other simulator.
+    /// Start of the stripped bone, along the bone from the malleolus tip. 70: other simulator.
     #[param(70.0, 0.0..=450.0)]
     pub scan_from_mm: f64,
-    /// End of the stripped bone, along the bone from the malleolus tip. 165 mm: other simulator.
+    /// End of the stripped bone, along the bone from the malleolus tip. 165: other simulator.
     #[param(165.0, 0.0..=450.0)]
     pub scan_to_mm: f64,
-    /// Whether the wound's bed and the skin around the stripped bone are seen too, and take their share of the points.
-    /// false: in the paper the user's region of interest excludes them.
+    /// Whether the wound's bed and the skin around the stripped bone are seen, too. false: in the paper the region of interest
+    /// excludes them.
     pub surroundings: bool,
-    /// The direction from the bone to the camera, about the bone from lateral (0) towards posterior (90). 45 degrees:
-    /// both faces that carry landmarks are seen at about 45 degrees.
+    /// Direction from the bone to the camera, from lateral (0) towards posterior (90). 45: both faces with landmarks are seen
+    /// at about 45 degrees.
     #[param(45.0, -180.0..=180.0)]
     pub view_azimuth_deg: f64,
-    /// Standard deviation, per axis, of the hand-held camera's attitude from that view. 3 degrees: assumed.
+    /// Standard deviation, per axis, of the camera's attitude from that view. 3: assumed, hand-held.
     #[param(3.0, 0.0..=15.0)]
     pub view_spread_deg: f64,
-    /// Standard deviation of the depth of single points along the ray, at normal incidence. 0.05 mm: 0.045 to 0.051 mm in
-    /// laser scans of the Stanford repository.
+    /// Standard deviation of the depth of single points, at normal incidence. 0.05: 0.045 to 0.051 in laser scans of the
+    /// Stanford repository.
     #[param(0.05, 0.0..=2.0)]
     pub depth_noise_mm: f64,
-    /// Depth noise grows as 1 / cos(incidence) to this power. 1: assumed, a slanted pixel spreads over that much depth.
+    /// Depth noise grows as 1 / cos(incidence) to this power. 1: assumed, as a slanted pixel spreads.
     #[param(1.0, 0.0..=4.0)]
     pub depth_noise_growth: f64,
-    /// Maximum angle of incidence; surfaces beyond give no point. 72 degrees: other simulator.
+    /// Maximum angle of incidence of a point. 72: other simulator.
     #[param(72.0, 10.0..=89.0)]
     pub max_incidence_deg: f64,
-    /// The share of pixels that fail at random. 0.02: other simulator.
+    /// Share of pixels that fail at random. 0.02: other simulator.
     #[param(0.02, 0.0..=0.9)]
     pub dropout: f64,
-    /// Round patches that are missing, drawn for each cloud (a highlight, a drop of blood). 3: other simulator.
+    /// Number of round patches that are missing, drawn for each cloud: highlights, drops of blood. 3: other simulator.
     #[param(3, 0..=100)]
     pub n_patches: u32,
-    /// The radius of such a patch. 1.2 mm: other simulator.
+    /// Their radius. 1.2: other simulator.
     #[param(1.2, 0.0..=20.0)]
     pub patch_radius_mm: f64,
-    /// Round pools of blood on the bone, in the same place in all clouds of a run, none on a mark. 0: off; assumed 3 in
-    /// a bleeding wound.
+    /// Number of round pools of blood on the bone, none on a mark, the same in all clouds of a run. 0: off; assumed 3 in a
+    /// bleeding wound.
     #[param(0, 0..=100)]
     pub n_pools: u32,
-    /// The radius of such a pool. 3 mm: assumed, a large drop.
+    /// Their radius. 3: assumed, a large drop.
     #[param(3.0, 0.0..=20.0)]
     pub pool_radius_mm: f64,
-    /// The share of the bone's pixels that fail where it reflects the projector into the lens, drawn for each cloud. 0:
-    /// off, a bone wiped dry; assumed 0.7 for a wet one.
+    /// Share of the bone's pixels that fail where it reflects the projector into the lens, drawn for each cloud. 0: off, a bone
+    /// wiped dry; assumed 0.7 for a wet one.
     #[param(0.0, 0.0..=1.0)]
     pub specular_dropout: f64,
-    /// Maximum angle between the surface's normal and that of the reflection. 8 degrees: assumed, the gloss of a wet
-    /// surface.
+    /// Maximum angle between the surface's normal and that of the reflection. 8: assumed, a wet surface.
     #[param(8.0, 0.0..=45.0)]
     pub specular_deg: f64,
-    /// Distance from the lens to the projector, along the camera's x. 80 mm: assumed, a hand-held scanner's baseline.
+    /// Distance from the lens to the projector, along the camera's x. 80: assumed, the baseline of a hand-held scanner.
     #[param(80.0, 0.0..=1000.0)]
     pub projector_mm: f64,
-    /// RMS of the smooth error in depth that the camera's own calibration leaves; one field for all clouds of a run, as
-    /// it belongs to the camera. 0.05 mm: other simulator.
+    /// RMS of the smooth error in depth that the camera's own calibration leaves: one field for all clouds of a run. 0.05:
+    /// other simulator.
     #[param(0.05, 0.0..=2.0)]
     pub depth_bias_mm: f64,
-    /// Wavelength of that error. 60 mm: assumed, a few periods over the field of view.
+    /// Wavelength of that error. 60: assumed, a few periods over the field of view.
     #[param(60.0, 10.0..=1000.0)]
     pub depth_bias_wavelength_mm: f64,
-    /// Seed of that error's field. None: the run's seed; a number for many procedures with one camera.
+    /// Seed of that field. None: the run's seed; a number keeps one camera in many procedures.
     pub bias_seed: Option<u64>,
-    /// RMS of the error across the surface that neighbouring points share: fringes, laser lines and lenses err alike over some
-    /// millimetres. One field in the camera's space for a run, so that scans of one view share it. 0.075 mm: so that
-    /// residuals have the 0.09 to 0.1 mm of those scans; 0 is off.
+    /// RMS of the error across the surface that points within some millimetres share, as of fringes, laser lines and lenses:
+    /// one field in the camera's space for a run. 0.075: residuals then have the 0.09 to 0.1 of the Stanford scans. 0: off.
     #[param(0.075, 0.0..=2.0)]
     pub surface_error_mm: f64,
-    /// Wavelength of that error. 20 mm: with the other terms residuals are correlated by 0.55 at 2 mm and 0.42 at 4 mm, as in
-    /// the Stanford scans, see docs/method/simulation.md.
+    /// Wavelength of that error. 20: residuals are then correlated by 0.55 at 2 mm and 0.42 at 4 mm, as in the Stanford scans
+    /// (docs/method/simulation.md).
     #[param(20.0, 1.0..=200.0)]
     pub surface_error_wavelength_mm: f64,
-    /// The share of the points that are outliers, all within half a millimetre of where the surface ends in the image.
-    /// 0.025: so that 1.4 % of the residuals are beyond five standard deviations, 1 to 2 % in those scans; 0 is off.
+    /// Share of the points that are outliers, within 0.5 mm of where the surface ends in the image. 0.025: 1.4 % of the
+    /// residuals are then beyond five standard deviations, 1 to 2 % in the Stanford scans. 0: off.
     #[param(0.025, 0.0..=0.2)]
     pub edge_outliers: f64,
-    /// Standard deviation of an outlier's error across the surface. 1 mm: assumed, so that two thirds are beyond 0.45 mm.
+    /// Standard deviation of an outlier's error across the surface. 1: assumed; two thirds are then beyond 0.45 mm.
     #[param(1.0, 0.0..=20.0)]
     pub edge_outlier_mm: f64,
-    /// Factor of every coordinate that the camera gives: clouds, region of interest, and the check piece's holes. 1: off,
-    /// millimetres; 0.001 if it gives metres that are taken for millimetres, 1000 the other way round.
+    /// Factor of every coordinate of the camera: clouds, region of interest, holes of the check piece. 1: off; 0.001: metres
+    /// taken for millimetres.
     #[param(1.0, 0.000_001..=1_000_000.0)]
     pub unit_factor: f64,
-    /// Excess of every coordinate in the clouds of the bone, the region of interest and the check piece at the bone, and not
-    /// in the phantom's scan: a camera that has warmed up or was bumped since its calibration. 0: off.
+    /// Excess of the coordinates of the bone's clouds, the region of interest and the check piece at the bone, not of the
+    /// phantom's scan: a camera that warmed up or was bumped since its calibration. 0: off.
     #[param(0.0, -20.0..=20.0)]
     pub scale_percent: f64,
-    /// Excess of z alone, along the optical axis, in the same clouds: a baseline or a focal length that has changed since.
-    /// 0: off.
+    /// Excess of z alone in the same clouds: a baseline or focal length that has changed since. 0: off.
     #[param(0.0, -20.0..=20.0)]
     pub depth_percent: f64,
-    /// Time that a cloud of the bone takes, half of it before its stamp, s: each point is measured where bone and camera are then.
-    /// 0: an instant, as the paper's camera nearly does; a line that is swept by hand takes some seconds.
+    /// Time that a cloud of the bone takes, half of it before its stamp; bone and camera move in it. 0: an instant, nearly as
+    /// the paper's camera; a line swept by hand takes some seconds.
     #[param(0.0, 0.0..=3.0)]
     pub scan_s: f64,
-    /// Direction in the image in which a cloud is swept. 0 degrees: along the bone, proximally; 90: across it.
+    /// Direction in the image in which a cloud is swept. 0: along the bone, proximally; 90: across it.
     #[param(0.0, -360.0..=360.0)]
     pub sweep_deg: f64,
-    /// Whether clouds of the bone have the time of each point, as a column `t` in seconds from their stamp. false: few files have it.
+    /// Whether clouds of the bone have a column `t`, the time of each point in seconds from their stamp. false: few files have
+    /// it.
     pub point_times: bool,
 }
 
@@ -156,54 +154,53 @@ pub struct CameraParams {
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct TrackerParams {
-    /// Samples per second. 20 Hz: other simulator.
+    /// Samples per second. 20: other simulator.
     #[param(20.0, 2.0..=1000.0)]
     pub rate_hz: f64,
-    /// The share of samples that are lost. 0.03: other simulator.
+    /// Share of samples that are lost. 0.03: other simulator.
     #[param(0.03, 0.0..=0.9)]
     pub lost: f64,
-    /// Mean number of samples that are lost in a row. 0: each is lost by itself, as the gaps of two periods in the test data of
-    /// PLUS, 4 of 995; more for a marker that is hidden for a moment.
+    /// Mean number of samples that are lost in a row. 0: each is lost by itself, as in the test data of PLUS (gaps of two
+    /// periods, 4 of 995); more: a marker that is hidden for a moment.
     #[param(0.0, 0.0..=1000.0)]
     pub lost_run: f64,
-    /// Standard deviation, per axis, of the constant error of a marker at one place. 0.06 mm: other simulator.
+    /// Standard deviation, per axis, of the constant error of a marker at one place. 0.06: other simulator.
     #[param(0.06, 0.0..=2.0)]
     pub placement_mm: f64,
-    /// Standard deviation of that error about each axis. 0.023 degrees (0.0004 rad): other simulator.
+    /// Standard deviation of that error about each axis. 0.023 (0.0004 rad): other simulator.
     #[param(0.023, 0.0..=2.0)]
     pub placement_deg: f64,
-    /// Standard deviation, per axis, of the noise of each sample. 0.03 mm: other simulator.
+    /// Standard deviation, per axis, of a sample's noise. 0.03: other simulator.
     #[param(0.03, 0.0..=2.0)]
     pub noise_mm: f64,
-    /// Standard deviation of that noise about each axis. 0.0115 degrees (0.0002 rad): other simulator.
+    /// Standard deviation of that noise about each axis. 0.0115 (0.0002 rad): other simulator.
     #[param(0.0115, 0.0..=2.0)]
     pub noise_deg: f64,
-    /// Correlation of a sample's noise with that of the sample before. 0.85: 0.7 to 0.96 in streams of markers at rest in the
-    /// test data of PLUS; 0: white noise.
+    /// Correlation of the noise of successive samples. 0.85: markers at rest in the test data of PLUS have 0.7 to 0.96. 0:
+    /// white noise.
     #[param(0.85, 0.0..=0.999)]
     pub noise_lag1: f64,
-    /// Step of the coordinates of a position, as a localiser writes them. 0.01 mm: optical streams of those data; 0.11 mm in
-    /// electromagnetic ones; 0 is off.
+    /// Step of the coordinates, as a localiser writes them. 0.01: optical streams of PLUS; electromagnetic ones have 0.11. 0:
+    /// off.
     #[param(0.01, 0.0..=1.0)]
     pub step_mm: f64,
-    /// The share of samples that repeat the one before to the bit, with a new stamp. 0.1: assumed for an optical localiser;
-    /// 634 of 800 frames in an electromagnetic stream of those data; 0 is off.
+    /// Share of samples that repeat the one before to the bit. 0.1: assumed for an optical localiser; an electromagnetic stream
+    /// of PLUS repeats 634 of 800. 0: off.
     #[param(0.1, 0.0..=0.99)]
     pub repeats: f64,
-    /// Drift of the localiser's world per minute, in one direction per run. 0.05 mm: assumed, a localiser that warms
-    /// up.
+    /// Drift of the localiser's world, in one direction per run. 0.05: assumed, a localiser that warms up.
     #[param(0.05, 0.0..=5.0)]
     pub drift_mm_per_min: f64,
-    /// Time for which a marker is tracked before and after each cloud, beyond the half of `camera.scan_s`. 0.6 s: assumed, a dozen samples on
-    /// either side; 1.9: throughout.
+    /// Time for which a marker is tracked before and after each cloud, beyond half of `camera.scan_s`. 0.6: assumed, a dozen
+    /// samples; 1.9: throughout.
     #[param(0.6, 0.1..=1.9)]
     pub burst_s: f64,
-    /// Time by which all poses are stamped too late, s: the localiser's transport, or a clock of its own. 0: off; it is seen
-    /// where a marker moves.
+    /// Time by which all poses are stamped too late: the localiser's transport, or its clock. It shows where a marker moves. 0:
+    /// off.
     #[param(0.0, 0.0..=1.0)]
     pub late_s: f64,
-    /// Whether there is no localiser, as in vivo: the camera at the full scan is the world, its marker's poses are
-    /// identities, and there are no bone marker, stylus and check piece. false: the paper's bench.
+    /// Whether there is no localiser, as in vivo: the camera at the full scan is the world, its marker's poses are identities,
+    /// and bone marker, stylus and check piece are absent. false: the paper's bench.
     pub none: bool,
 }
 
@@ -211,35 +208,36 @@ pub struct TrackerParams {
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct LaserParams {
-    /// The radius of the disc around the spot where the camera measures nothing. 2 mm: the paper's hole.
+    /// Radius around the spot within which the camera measures nothing. 2: the paper's hole.
     #[param(2.0, 0.2..=10.0)]
     pub hole_radius_mm: f64,
-    /// Standard deviation of aiming across the bone. 0.6 mm: other simulator.
+    /// Standard deviation of aiming across the bone. 0.6: other simulator.
     #[param(0.6, 0.0..=5.0)]
     pub aim_across_mm: f64,
-    /// Standard deviation of aiming along the bone. 0.7 mm: other simulator.
+    /// Standard deviation of aiming along the bone. 0.7: other simulator.
     #[param(0.7, 0.0..=30.0)]
     pub aim_along_mm: f64,
-    /// Maximum number of attempts to aim at a mark, each with its own aiming error, until the camera sees a third of
-    /// the laser's disc on the bone (assumed). If no attempt succeeds, the one with the largest share counts. 1: other
-    /// simulator; a surgeon who watches the screen would point again, perhaps 3 times: assumed.
+    /// Maximum number of attempts to aim at a mark, each with its own error, until the camera sees a third of the laser's disc
+    /// on the bone (assumed); else the attempt with the largest share counts. 1: other simulator; a surgeon who watches the
+    /// screen would make perhaps 3 (assumed).
     #[param(1, 1..=100)]
     pub max_attempts: usize,
-    /// Shape of the region around the spot where the camera measures nothing. `ball`: other simulator.
+    /// Shape of the hole. `ball`, the surface within the radius: other simulator. `beam`: the surface in the beam, elongated
+    /// where it is slanted.
     pub disc: LaserDisc,
-    /// Standard deviation, about each axis across it, of the beam's direction from the camera's ray to the spot. 10
-    /// degrees: assumed, a pointer held beside the camera.
+    /// Standard deviation, about each axis across it, of the beam's direction from the camera's ray. 10: assumed, a pointer
+    /// held beside the camera.
     #[param(10.0, 0.0..=30.0)]
     pub beam_deg: f64,
-    /// Whether scans with the laser are taken. true: the paper's method; false for experiments that start from ruled
-    /// marks or by shape alone, where the stripped bone need not show the landmarks.
+    /// Whether scans with the laser are taken. true: the paper's method; false: to start from ruled marks or by shape alone, so
+    /// the stripped bone need not show the landmarks.
     #[param(true)]
     pub scans: bool,
-    /// Whether the laser also points at the assessment marks, after the landmarks, as in vivo, where no stylus touches
-    /// them. false: the paper's bench.
+    /// Whether the laser also points at the assessment marks, after the landmarks, as in vivo. false: the paper's bench, where
+    /// a stylus touches them.
     pub assessment: bool,
-    /// Names of marks whose laser scans have the wrong label: each scan has the label of the next mark in the list, the
-    /// last that of the first, so two names are exchanged. Empty: off.
+    /// Marks whose laser scans have a wrong label: each has the label of the next in the list, the last that of the first.
+    /// Empty: off.
     pub swap: Vec<String>,
 }
 
@@ -261,34 +259,35 @@ pub enum LaserDisc {
 pub struct ImageParams {
     /// Whether images are taken. false: the paper's camera has no colour.
     pub taken: bool,
-    /// Width. 640: assumed, the colour sensor of a small depth camera.
+    /// Width. 640: assumed, a small depth camera.
     #[param(640, 16..=4096)]
     pub width_px: u32,
     /// Height. 480: assumed.
     #[param(480, 16..=4096)]
     pub height_px: u32,
-    /// Horizontal field of view. 40 degrees: 146 mm at the working distance, so the stripped bone is in the image.
+    /// Horizontal field of view. 40: 146 mm at the working distance, so the stripped bone is in the image.
     #[param(40.0, 5.0..=120.0)]
     pub field_deg: f64,
-    /// What marks the landmark in the image. `laser`.
+    /// What marks the landmark: the `laser`'s spot, or a violet disc drawn with a `pen`, with the laser off. `laser`: the
+    /// paper's.
     pub mark: ImageMark,
-    /// Radius of a pen's mark. 1 mm: assumed.
+    /// Radius of a pen's mark. 1: assumed.
     #[param(1.0, 0.1..=10.0)]
     pub pen_radius_mm: f64,
-    /// Brightness of bone that faces the lamp, relative to white. 0.6: assumed, an exposure that keeps the bone unsaturated.
+    /// Brightness of bone that faces the lamp, relative to white. 0.6: assumed; the bone is then not saturated.
     #[param(0.6, 0.0..=10.0)]
     pub exposure: f64,
-    /// The laser's irradiance at its centre, relative to white; it falls to 0.12 at the radius of the laser's hole. 8: assumed, so
-    /// that the core saturates all channels.
+    /// Irradiance of the laser at its centre, relative to white; at the hole's radius it is 0.12. 8: assumed; the core then
+    /// saturates all channels.
     #[param(8.0, 0.3..=1000.0)]
     pub laser_peak: f64,
     /// Number of white highlights on the bone, drawn for each image. 3: assumed, a wet bone.
     #[param(3, 0..=100)]
     pub n_glare: u32,
-    /// The radius at which a highlight's light has fallen to a third. 1 mm: assumed.
+    /// Radius at which a highlight has fallen to a third. 1: assumed.
     #[param(1.0, 0.1..=20.0)]
     pub glare_radius_mm: f64,
-    /// Brightness of a second reflection of the laser, somewhere on the bone, relative to the spot. 0: off.
+    /// Brightness of a second reflection of the laser on the bone, relative to the spot. 0: off.
     #[param(0.0, 0.0..=1.0)]
     pub reflection: f64,
     /// Standard deviation of each channel's noise, levels of 255. 2: assumed.
@@ -311,34 +310,32 @@ pub enum ImageMark {
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct PhantomParams {
-    /// Standard deviation, per axis, of the printed phantom marker against its CAD. 0.05 mm: other simulator.
+    /// Standard deviation, per axis, of the printed phantom marker against its CAD. 0.05: other simulator.
     #[param(0.05, 0.0..=2.0)]
     pub print_mm: f64,
-    /// Standard deviation of that error about each axis. 0.023 degrees (0.0004 rad): other simulator.
+    /// Standard deviation of that error about each axis. 0.023 (0.0004 rad): other simulator.
     #[param(0.023, 0.0..=2.0)]
     pub print_deg: f64,
-    /// Seed of the print's error. None: the run's seed; a number for many procedures with one phantom.
+    /// Seed of that error. None: the run's seed; a number keeps one phantom in many procedures.
     pub print_seed: Option<u64>,
-    /// Standard deviation, per axis, of the camera marker against its nominal pose. 1.5 mm: assumed, "good to a few
-    /// mm".
+    /// Standard deviation, per axis, of the camera marker against its nominal pose. 1.5: assumed, "good to a few mm".
     #[param(1.5, 0.0..=10.0)]
     pub mounting_mm: f64,
-    /// Standard deviation of the mounting about each axis. 1.2 degrees: assumed, about 2 degrees in all.
+    /// Standard deviation of that pose about each axis. 1.2: assumed, about 2 degrees in all.
     #[param(1.2, 0.0..=10.0)]
     pub mounting_deg: f64,
-    /// Seed of the camera marker's mounting. None: the run's seed; a number for many procedures with one support.
+    /// Seed of that pose. None: the run's seed; a number keeps one support in many procedures.
     pub mounting_seed: Option<u64>,
     /// Distance from the camera to the phantom, half its radius nearer than its centre. None: the working distance.
     #[param(None, 50.0..=1000.0)]
     pub distance_mm: Option<f64>,
-    /// Factor of every coordinate in the phantom's scan, from the lens. 1: off; 1.05 if the camera's scale was 5 % too
-    /// large at the calibration alone.
+    /// Factor of every coordinate in the phantom's scan, from the lens. 1: off; 1.05: the camera's scale was 5 % too large at
+    /// the calibration alone.
     #[param(1.0, 0.000_001..=1_000_000.0)]
     pub scan_scale: f64,
     /// Whether the phantom's scan is a mirror image, its x negated. false: off.
     pub scan_mirrored: bool,
-    /// Error of `t_phantom_phantom_marker` as the recording gives it, in a direction drawn per run; the plan's has none.
-    /// 0: off.
+    /// Error of `t_phantom_phantom_marker` in the recording, in a direction drawn per run; the plan has none. 0: off.
     #[param(0.0, 0.0..=500.0)]
     pub marker_cad_wrong_mm: f64,
     /// Rotation of that pose, about an axis drawn per run. 0: off.
@@ -350,14 +347,13 @@ pub struct PhantomParams {
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CheckParams {
-    /// Standard deviation, per axis, of a hole's position as read from the cloud. 0.1 mm: assumed, half the spacing of
-    /// the points.
+    /// Standard deviation, per axis, of a hole as read from the cloud. 0.1: assumed, half the spacing of the points.
     #[param(0.1, 0.0..=5.0)]
     pub reading_mm: f64,
-    /// Standard deviation, per axis, of a printed hole against the piece's CAD. 0.05 mm: as the phantom's.
+    /// Standard deviation, per axis, of a printed hole against the piece's CAD. 0.05: as the phantom's.
     #[param(0.05, 0.0..=2.0)]
     pub print_mm: f64,
-    /// Seed of the print's error. None: the run's seed; a number for many procedures with one piece.
+    /// Seed of that error. None: the run's seed; a number keeps one piece in many procedures.
     pub print_seed: Option<u64>,
 }
 
@@ -366,8 +362,7 @@ pub struct CheckParams {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RulerParams {
-    /// Standard deviation, along the bone, of the origin of all measurements: the malleolus under the skin. 0: off,
-    /// marks as planned.
+    /// Standard deviation, along the bone, of the origin of all marks, the malleolus under the skin. 0: off.
     #[schemars(range(min = 0.0, max = 30.0))]
     pub shared_mm: f64,
     /// Standard deviation, along the bone, of each mark. 0: off.
@@ -382,24 +377,23 @@ pub struct RulerParams {
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct PeriosteumParams {
-    /// Maximum thickness, off the bone. 0: off, a bone scraped clean; assumed up to 0.5 mm otherwise.
+    /// Maximum thickness. 0: off, a bone scraped clean; assumed up to 0.5 otherwise.
     #[param(0.0, 0.0..=3.0)]
     pub thickness_mm: f64,
-    /// The share of the surface that is covered, on average over seeds. 0.5: assumed.
+    /// Share of the surface that is covered, on average over seeds. 0.5: assumed.
     #[param(0.5, 0.01..=0.99)]
     pub share: f64,
-    /// The wavelength of the patches. 15 mm: assumed, a few strokes of a scraper.
+    /// Wavelength of the patches. 15: assumed, a few strokes of a scraper.
     #[param(15.0, 1.0..=500.0)]
     pub patch_mm: f64,
-    /// Thickness, at the end of the stripped stretch, of a film that covers it all and grows evenly from 0 at its start:
-    /// blood that has run down, or a scraper that was lifted. 0: off.
+    /// Thickness, at the end of the stripped stretch, of a film that grows evenly from 0 at its start: blood that ran down, or
+    /// a scraper that was lifted. 0: off.
     #[param(0.0, 0.0..=3.0)]
     pub grows_mm: f64,
-    /// Thickness on the posterior side of a film that covers it all and grows evenly around the bone from 0 on the lateral
-    /// side. 0: off.
+    /// Thickness, on the posterior side, of a film that grows evenly around the bone from 0 on the lateral side. 0: off.
     #[param(0.0, 0.0..=3.0)]
     pub around_mm: f64,
-    /// Seed of the patches. None: the run's seed; a number for many procedures on one stripped bone.
+    /// Seed of the patches. None: the run's seed; a number keeps one stripped bone in many procedures.
     pub film_seed: Option<u64>,
 }
 
@@ -408,20 +402,18 @@ pub struct PeriosteumParams {
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct TissueParams {
-    /// The share of the bone that the camera sees, by number of pixels, covered by at least half the minimum thickness.
-    /// 0: off.
+    /// Share of the bone's visible pixels that is covered by at least half the minimum thickness. 0: off.
     #[param(0.0, 0.0..=0.9)]
     pub share: f64,
-    /// Minimum and maximum thickness at the top of a lump, drawn for each. 1 to 6 mm: assumed, remains of muscle.
+    /// Minimum and maximum thickness of a lump at its top. 1 to 6: assumed, remains of muscle.
     #[param([1.0, 6.0])]
     #[schemars(inner(range(min = 0.1, max = 20.0)))]
     pub thickness_mm: [f64; 2],
-    /// Minimum and maximum diameter of a lump, drawn for each; the last is as small as the share requires. 10 to 25 mm:
-    /// assumed.
+    /// Minimum and maximum diameter of a lump; the last is as small as the share requires. 10 to 25: assumed.
     #[param([10.0, 25.0])]
     #[schemars(inner(range(min = 2.0, max = 100.0)))]
     pub patch_mm: [f64; 2],
-    /// Seed of the lumps. None: the run's seed; a number for many procedures on one stripped bone.
+    /// Seed of the lumps. None: the run's seed; a number keeps one stripped bone in many procedures.
     pub seed: Option<u64>,
 }
 
@@ -429,29 +421,29 @@ pub struct TissueParams {
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct StylusParams {
-    /// Standard deviation, per axis, of the tip's constant error, left by its own calibration. 0.1 mm: other simulator.
+    /// Standard deviation, per axis, of the tip's constant error, which its calibration left. 0.1: other simulator.
     #[param(0.1, 0.0..=5.0)]
     pub tip_mm: f64,
-    /// Standard deviation, per axis, of each touch of a mark or hole. 0.1 mm: other simulator.
+    /// Standard deviation, per axis, of each touch of a mark or hole. 0.1: other simulator.
     #[param(0.1, 0.0..=5.0)]
     pub touch_mm: f64,
     /// Points palpated on the surface. 300: the paper's baseline.
     #[param(300, 0..=10_000)]
     pub n_palpated: usize,
-    /// Standard deviation, per axis, of the constant error of a palpation, beyond the tip's. 0.3 mm: other simulator.
+    /// Standard deviation, per axis, of a palpation's constant error, beyond the tip's. 0.3: other simulator.
     #[param(0.3, 0.0..=5.0)]
     pub palpation_bias_mm: f64,
-    /// Standard deviation, per axis, of each palpated point. 0.25 mm: other simulator.
+    /// Standard deviation, per axis, of each palpated point. 0.25: other simulator.
     #[param(0.25, 0.0..=5.0)]
     pub palpation_mm: f64,
-    /// Number of poses of a pivot calibration before the procedure. 0: none, the tip's error is drawn (`tip_mm`);
-    /// otherwise it is that of the calibration, and the stylus' marker is tracked at every touch.
+    /// Number of poses of a pivot calibration before the procedure, whose error the tip then has; the stylus' marker is tracked
+    /// at every touch. 0: none, `tip_mm` holds.
     #[param(0, 0..=10_000)]
     pub pivot_poses: usize,
-    /// Maximum tilt of the stylus about its tip in the calibration. 30 degrees: assumed, as markers stay in view.
+    /// Maximum tilt of the stylus in that calibration. 30: assumed, as markers stay in view.
     #[param(30.0, 1.0..=80.0)]
     pub pivot_deg: f64,
-    /// Standard deviation, per axis, of the tip's position in the dimple. 0.05 mm: assumed.
+    /// Standard deviation, per axis, of the tip's position in the dimple. 0.05: assumed.
     #[param(0.05, 0.0..=2.0)]
     pub dimple_mm: f64,
 }
@@ -460,74 +452,72 @@ pub struct StylusParams {
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct MotionParams {
-    /// Seconds since the Unix epoch at which the procedure begins. 1,750,000,000 (15 June 2025): never 0, which viewers
-    /// refuse.
+    /// Start of the procedure, seconds since the Unix epoch. 1,750,000,000 (15 June 2025): never 0, which viewers refuse.
     #[param(1_750_000_000, 1.0..=4_000_000_000.0)]
     pub start_s: u32,
-    /// Motion of the bone after all scans and touches, in a direction drawn per run. 60 mm: assumed, a leg that is
-    /// repositioned.
+    /// Motion of the bone after all scans and touches, in a direction drawn per run. 60: assumed, a leg that is repositioned.
     #[param(60.0, 0.0..=500.0)]
     pub bone_mm: f64,
-    /// Rotation of the bone in that motion. 7 degrees: assumed.
+    /// Rotation of the bone in that motion. 7: assumed.
     #[param(7.0, 0.0..=90.0)]
     pub bone_deg: f64,
-    /// Motion of the bone between two scans, drawn each time. 0: assumed, the leg is held.
+    /// Motion of the bone between two scans, drawn each time. 0: the leg is held (assumed).
     #[param(0.0, 0.0..=100.0)]
     pub bone_between_scans_mm: f64,
-    /// Rotation of the bone between two scans. 0: assumed, the leg is held.
+    /// Rotation of the bone between two scans. 0: the leg is held (assumed).
     #[param(0.0, 0.0..=30.0)]
     pub bone_between_scans_deg: f64,
-    /// Motion of the camera between two scans of the bone, drawn each time. 0: assumed, it is on an arm.
+    /// Motion of the camera between two scans of the bone, drawn each time. 0: it is on an arm (assumed).
     #[param(0.0, 0.0..=100.0)]
     pub camera_between_scans_mm: f64,
-    /// Rotation of the camera between two scans. 0: assumed, it is on an arm.
+    /// Rotation of the camera between two scans. 0: it is on an arm (assumed).
     #[param(0.0, 0.0..=30.0)]
     pub camera_between_scans_deg: f64,
-    /// Speed of the camera at every cloud of the bone, for a second before and after it, in a direction drawn per run, mm/s.
-    /// 0: off, it is held still.
+    /// Speed of the camera for a second before and after each cloud of the bone, in a direction drawn per run. 0: it is held
+    /// still.
     #[param(0.0, 0.0..=200.0)]
     pub camera_speed_mm_s: f64,
-    /// Turn of the camera at every cloud of the bone, about what it looks at, degrees/s. 0: off.
+    /// Turn of the camera in that time, about what it looks at. 0: off.
     #[param(0.0, 0.0..=90.0)]
     pub camera_speed_deg_s: f64,
-    /// Speed of the bone at every cloud of it, as `camera_speed_mm_s`. 0: off, the leg is held.
+    /// Speed of the bone, as `camera_speed_mm_s`. 0: the leg is held.
     #[param(0.0, 0.0..=200.0)]
     pub bone_speed_mm_s: f64,
-    /// Turn of the bone at every cloud of it, about the middle of its scan, degrees/s. 0: off.
+    /// Turn of the bone in that time, about the middle of its scan. 0: off.
     #[param(0.0, 0.0..=90.0)]
     pub bone_speed_deg_s: f64,
-    /// Distance by which the bone is carried away and back between two clouds, each way in a second, in a direction drawn each time;
-    /// the fastest is 1.5 times as much per second. 0: off.
+    /// Distance by which the bone is carried away and back between two clouds, each way in a second at up to 1.5 times this per
+    /// second, in a direction drawn each time. 0: off.
     #[param(0.0, 0.0..=500.0)]
     pub carry_mm: f64,
     /// Rotation of the bone on that way. 0: off.
     #[param(0.0, 0.0..=90.0)]
     pub carry_deg: f64,
-    /// Time for which the bone is sawed after the touches, before its last motion, s: it shakes with its marker. 0: off.
+    /// Time for which the bone is sawed after the touches, before its last motion: it shakes with its marker. 0: off.
     #[param(0.0, 0.0..=60.0)]
     pub saw_s: f64,
-    /// Amplitude of that shaking, in a direction drawn per run. 1 mm: assumed, a leg in the hands of an assistant.
+    /// Amplitude of that shaking, in a direction drawn per run. 1: assumed, a leg in an assistant's hands.
     #[param(1.0, 0.0..=20.0)]
     pub saw_mm: f64,
-    /// Rotation of the bone in that shaking. 0.5 degrees: assumed.
+    /// Rotation of the bone in that shaking. 0.5: assumed.
     #[param(0.5, 0.0..=20.0)]
     pub saw_deg: f64,
-    /// Frequency of that shaking. 5 Hz: assumed, strokes of a hand and what the saw leaves of them.
+    /// Frequency of that shaking. 5: assumed, strokes of a hand and what the saw leaves of them.
     #[param(5.0, 0.1..=50.0)]
     pub saw_hz: f64,
-    /// Slip of the bone's marker, in a direction drawn per run. 0: off, a marker that holds.
+    /// Slip of the bone's marker, in a direction drawn per run. 0: off.
     #[param(0.0, 0.0..=20.0)]
     pub marker_slip_mm: f64,
-    /// Rotation of the bone's marker in that slip. 0: off.
+    /// Rotation of that marker. 0: off.
     #[param(0.0, 0.0..=30.0)]
     pub marker_slip_deg: f64,
-    /// Time of that slip: before the `touches`, after all scans; or before the `laser` scans, after the full scan.
+    /// When it slips: before the `touches`, after all scans; or before the `laser` scans, after the full scan.
     pub marker_slips_before: SlipsBefore,
-    /// Shift of the camera's marker on the camera between the calibration and the full scan, in a direction drawn per
-    /// run. 0: off, a marker that is not knocked.
+    /// Shift of the camera's marker on the camera between the calibration and the full scan, in a direction drawn per run. 0:
+    /// off.
     #[param(0.0, 0.0..=200.0)]
     pub knock_mm: f64,
-    /// Rotation of the camera's marker in that knock. 0: off.
+    /// Rotation of that marker. 0: off.
     #[param(0.0, 0.0..=180.0)]
     pub knock_deg: f64,
 }
@@ -536,14 +526,14 @@ pub struct MotionParams {
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct StreamParams {
-    /// Scans per second. 5 Hz: assumed, a structured-light camera that projects a dozen patterns for each cloud.
+    /// Scans per second. 5: assumed, a structured-light camera that projects a dozen patterns for each cloud.
     #[param(5.0, 0.1..=100.0)]
     pub rate_hz: f64,
     /// Number of scans. 40: a second of rest, six of motion and one of rest.
     #[param(40, 1..=10_000)]
     pub n_scans: u32,
-    /// Duration of the motion by `motion.bone_mm` and `motion.bone_deg`. 6 s: assumed, a leg that is repositioned under the
-    /// camera; at most 3.75 mm from scan to scan at 5 Hz and 60 mm.
+    /// Duration of the motion by `motion.bone_mm` and `motion.bone_deg`. 6: assumed, a leg that is repositioned; at most 3.75
+    /// mm from scan to scan at 5 Hz and 60 mm.
     #[param(6.0, 0.1..=600.0)]
     pub motion_s: f64,
 }

@@ -14,11 +14,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct OwnBone {
-    /// The closed surface of a bone to simulate on, STL or PLY, mm, in the CT's coordinates; with `plan_file`, and the same
-    /// for every node that simulates. None: the built-in bone.
+    /// Closed surface of a bone to simulate on, STL or PLY, mm, in the CT's coordinates; with `plan_file`, and the same for
+    /// every node that simulates. None: the built-in bone.
     pub bone_file: Option<FilePath>,
-    /// Its plan as `plan.file` reads it, or its anatomy alone (`malleolus_tip`, `proximal`, `lateral`, `posterior`), also
-    /// under a key named after the bone's file; landmarks, assessment points and cuts are then placed by it.
+    /// Its plan as `plan.file` reads it, or only its anatomy (`malleolus_tip`, `proximal`, `lateral`, `posterior`), also under
+    /// a key named after the bone's file; landmarks, assessment points and cuts are then placed by it.
     pub plan_file: Option<FilePath>,
 }
 

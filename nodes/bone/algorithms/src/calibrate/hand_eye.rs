@@ -94,7 +94,7 @@ pub struct HandEyeReport {
     pub n_motions: usize,
     /// RMS distance of the target from its mean place, as the calibration carries it to the tracker, mm.
     pub rms_mm: f64,
-    /// Largest such distance, mm.
+    /// Largest such distance.
     pub max_mm: f64,
     /// RMS angle of the target from its mean orientation, radians.
     pub rms_rad: f64,

@@ -97,18 +97,17 @@ pub(crate) const CROP: &str = "crop the scan to the bone (register: --box, --sph
 #[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 pub struct GlobalParams {
-    /// Distance between starts along the bone, mm. 10: a few steps on a coarse map recover half of it.
+    /// Distance between starts along the bone. 10: a few steps on a coarse map recover half of it.
     #[param(10.0, 0.5..=100.0)]
     pub slide_mm: f64,
-    /// Number of starts around the bone. 12: 30 degrees apart, half of which the same steps recover.
+    /// Number of starts around the bone. 12: 30 degrees apart, of which these steps recover half.
     #[param(12, 4..=360)]
     pub n_turns: usize,
-    /// Maximum number of starts that are refined on the map: the best ones, of those at different places. 40: a fibula
-    /// has fewer plausible places.
+    /// Maximum number of starts that are refined on the map: the best at different places. 40: a fibula has fewer plausible
+    /// ones.
     #[param(40, 1..=10_000)]
     pub n_refined: usize,
-    /// Maximum number of refined starts that are registered onto the surface: the best ones, at least 4 mm apart. 4:
-    /// the right one and its rivals.
+    /// Maximum number of refined starts that are registered: the best, at least 4 mm apart. 4: the right one and its rivals.
     #[param(4, 1..=1000)]
     pub n_registered: usize,
 }
@@ -159,7 +158,7 @@ pub struct RunnerUp {
     /// The scan's centroid there, in the target's frame, mm.
     #[serde(default)]
     pub middle_mm: [f64; 3],
-    /// Distance of the scan's centroid from that of the answer, mm.
+    /// Distance of the scan's centroid from that of the answer.
     pub shift_mm: f64,
     /// Angle to the answer, rad.
     pub turn_rad: f64,

@@ -54,21 +54,21 @@ pub enum Mark {
 pub struct RgbSpotParams {
     /// What to find: `laser`, a red spot, or `pen`, a violet or blue mark. laser: the paper's.
     pub mark: Mark,
-    /// Radius of the coloured spot on the surface, mm; found spots may be 2.5 times smaller or larger. 2: the laser of the paper.
+    /// Radius of the coloured spot on the surface; found spots may be 2.5 times smaller or larger. 2: the paper's laser.
     #[param(HoleParams::default().spot_radius_mm, 0.1..=50.0)]
     pub spot_radius_mm: f64,
-    /// Maximum median distance of the scan with the laser from the reference, mm. 0.5: as for the other detectors.
+    /// Maximum median distance of the scan with the laser from the reference. 0.5: as of the other detectors.
     #[param(HoleParams::default().max_scan_residual_mm, 1e-3..=10.0)]
     pub max_scan_residual_mm: f64,
-    /// Minimum confidence. 0.4: as for the other detectors; a rim in 7 of 12 directions and a radius twice too small give 0.38.
+    /// Minimum confidence. 0.4: as of the other detectors; a rim in 7 of 12 directions and a radius twice too small give 0.38.
     #[param(HoleParams::default().min_confidence, 0.0..=1.0)]
     pub min_confidence: f64,
     /// Minimum difference of the spot's colour from the bone's, levels of 255. 40: noise of 2 levels and ivory bone stay below 25.
     #[param(40.0, 1.0..=255.0)]
     pub min_contrast: f64,
-    /// Whether the scan has to lack half of its points at the laser's spot. true: a mirrored image, wrong intrinsics and the image of
-    /// another scan are recognized by it, and a spot of which the silhouette hides a part; false for a camera whose depth the laser does
-    /// not disturb. Not used for a pen.
+    /// Whether the scan has to lack half of its points at the laser's spot (not for a pen). true: this recognises a mirrored
+    /// image, wrong intrinsics, the image of another scan, and a spot that the silhouette partly hides; false: for a camera
+    /// whose depth the laser does not disturb.
     #[param(true)]
     pub require_hole: bool,
 }

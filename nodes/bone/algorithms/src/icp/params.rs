@@ -9,76 +9,72 @@ use serde::{Deserialize, Serialize};
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct IcpParams {
-    /// Largest distance of a pair, mm. 5: twice the largest error of a three-point fit to laser holes, and less than half the
-    /// thickness of a fibula, so that no point pairs with the opposite side of the bone.
+    /// Largest distance of a pair. 5: twice the largest error of a three-point fit to laser holes, and less than half the
+    /// thickness of a fibula, so no point pairs with the opposite side.
     #[param(5.0, 1e-6..=1e6)]
     pub max_pair_distance_mm: f64,
-    /// Correspondence search. `cached`: the nearest samples, searched again only after a point has moved so far that another
-    /// could be nearer; the pairs of `tree` in a fifth of its time. `tree`: the nearest samples, searched at every step.
+    /// Correspondence search. `tree`: the nearest samples, searched at every step. `cached`: the same pairs in a fifth of the
+    /// time, as points are searched again only after they have moved so far that another sample could be nearer.
     #[param(PairingKind::Cached)]
     pub pairing: PairingKind,
-    /// Whether a pair is used only if the source point is the nearest to its target point in turn. false: a scan covers a part
-    /// of the bone, and each of its points has a target point.
+    /// Whether a pair is used only if the source point is also the nearest to its target point. false: a scan covers a part of
+    /// the bone, and each of its points has a target point.
     pub reciprocal: bool,
-    /// Largest angle between the normals of a pair, degrees. 180: all pairs are used. The scan's normals are estimated if the
-    /// cloud has none.
+    /// Largest angle between the normals of a pair. 180: all pairs. The scan's normals are estimated if it has none.
     #[param(180.0, 0.0..=180.0)]
     pub max_normal_angle_deg: f64,
-    /// The gate: residuals beyond this many standard deviations of the inliers have no weight, those below 0.85 of it full
-    /// weight. 5: bare bone keeps full weight, and up to half of the points may be some millimetres off and lose theirs. 0: no
-    /// gate, all pairs within `max_pair_distance_mm` have full weight. Before the last level the gate is just beyond the better
-    /// half of the points.
+    /// Residuals beyond this many standard deviations of the inliers have no weight, those below 0.85 of it full weight. 5:
+    /// bare bone keeps full weight, and up to half of the points, some millimetres off, lose theirs. 0: no gate, full weight
+    /// within `max_pair_distance_mm`. Before the last level the gate is just beyond the better half of the points.
     #[param(5.0, 0.0..=1000.0)]
     pub gate_sigmas: f64,
-    /// Depth noise of the camera, mm: a lower bound on the standard deviation of the residuals. 0.07: a structured-light
-    /// camera's at 300 mm. A camera with less noise gets a wider gate than it needs; more noise is estimated.
+    /// Depth noise of the camera: a lower bound on the standard deviation of the residuals. 0.07: a structured-light camera at
+    /// 300 mm. Less noise gets a wider gate than it needs; more is estimated.
     #[param(0.07, 0.0..=100.0)]
     pub noise_mm: f64,
-    /// Whether points outside the surface count less than those inside: soft tissue lies outside the bone everywhere, noise on
-    /// both sides. Before the last level they have a twentieth of the weight, then a gate of 2.5 standard deviations. Needs a cloud
-    /// with a viewpoint. None: true for variants along normals, false for `point_to_point`, which stays that of the paper.
+    /// Whether points outside the surface count less than those inside, as soft tissue lies outside the bone: before the last
+    /// level they have a twentieth of the weight, then a gate of 2.5 standard deviations. Needs a cloud with a viewpoint. None:
+    /// true for variants along normals, false for `point_to_point`, as in the paper.
     pub one_sided: Option<bool>,
-    /// Robust kernel, beside the gate; its scale is the standard deviation of the residuals. `none`: least squares. `huber`,
-    /// `tukey`, `welsch`: an efficiency of 95 % on Gaussian noise.
+    /// Robust kernel beside the gate, scaled by the standard deviation of the residuals. `none`: least squares. The others have
+    /// an efficiency of 95 % on Gaussian noise.
     #[param(Kernel::None)]
     pub kernel: Kernel,
-    /// Share of the pairs, those with the largest residuals, that a step leaves out. 0: the gate leaves out the outliers.
+    /// Share of the pairs, those with the largest residuals, that a step leaves out. 0: the gate leaves out outliers.
     #[param(0.0, 0.0..=0.9)]
     pub trim_fraction: f64,
-    /// Whether a pair is weighted by the squared cosine of the camera's incidence on the target, as depth noise grows with its
-    /// inverse. false: no assumption on the camera. Needs a cloud with a viewpoint.
+    /// Whether a pair is weighted by the squared cosine of the camera's incidence, as depth noise grows with its inverse.
+    /// false: no assumption on the camera. Needs a cloud with a viewpoint.
     pub incidence_weights: bool,
-    /// Subsets to register before all points: every n-th source point for each, until its noise exceeds its steps. [32, 8]:
-    /// most of the distance at a twentieth of the cost. The first subset pairs with a thinned target. []: all points from the
-    /// start.
+    /// Subsets to register before all points: every n-th source point, until its noise exceeds its steps. [32, 8]: most of the
+    /// distance at a twentieth of the cost; the first pairs with a thinned target. []: all points from the start.
     #[param(vec![32, 8])]
     #[schemars(length(max = 8), inner(range(min = 2, max = 10_000)))]
     pub levels: Vec<u32>,
-    /// Solution of a step. `gauss_newton`: the minimum of the linearised problem, with a line search.
-    /// `levenberg_marquardt`: damped until the cost does not rise.
+    /// Solution of a step. `gauss_newton`: the minimum of the linearised problem, with a line search. `levenberg_marquardt`:
+    /// damped until the cost does not rise.
     #[param(StepRule::GaussNewton)]
     pub step: StepRule,
-    /// `point_to_point`: number of earlier steps that the next one is extrapolated from (Anderson). 5: as in the literature; 0:
-    /// Kabsch's steps only, without Gauss-Newton steps along the normals either, which takes hundreds of steps, as each
-    /// recovers 0.1 % of a slide along the bone. Other variants ignore it.
+    /// `point_to_point` only: number of earlier steps that the next one is extrapolated from (Anderson). 5: as in the
+    /// literature; 0: Kabsch's steps alone, without Gauss-Newton steps along the normals, which takes hundreds of steps, as
+    /// each recovers 0.1 % of a slide along the bone.
     #[param(5, 0..=5)]
     pub acceleration: u32,
-    /// Converged if the remaining distance, estimated from the last steps, is below this, mm. 0.001: a hundredth of the
-    /// tracker's resolution. Distances are RMS movements of the source points.
+    /// Converged if the remaining distance, estimated from the last steps as RMS movement of the source points, is below this.
+    /// 0.001: a hundredth of the tracker's resolution.
     #[param(0.001, 0.0..=10.0)]
     pub stop_step_mm: f64,
-    /// And if the last turn is below this, rad. 1e-5: a micrometre at 100 mm.
+    /// And if the last turn is below this. 1e-5: a micrometre at 100 mm.
     #[param(1e-5, 0.0..=1.0)]
     pub stop_step_rad: f64,
-    /// Also stop if a step changes the RMS residual by less than this, mm. 0: never. Near a coarse fit the residual of a bone
-    /// hardly changes while it still slides along its axis, so 0.01 stops after three or four steps, millimetres away; the
-    /// report then does not say converged.
+    /// Also stop if a step changes the RMS residual by less. 0: never. The residual of a bone hardly changes while it still
+    /// slides along its axis: 0.01 stops after three or four steps, millimetres away, and the report does not say converged.
     #[param(0.0, 0.0..=10.0)]
     pub stop_residual_mm: f64,
-    /// Also stop after this many milliseconds. 0: never. A stop by time is recorded, and a replay stops at the same step.
+    /// Also stop after this time. 0: never. It is recorded, and a replay stops at the same step.
     #[param(0.0, 0.0..=1e9)]
     pub stop_after_ms: f64,
-    /// Largest number of steps, all levels together. 500: ten times the steps on real bones.
+    /// Largest number of steps of all levels. 500: ten times the steps on real bones.
     #[param(500, 1..=100_000)]
     pub max_iterations: u32,
     /// Smallest number of pairs; fewer are an error. 10: six unknowns and some redundancy.

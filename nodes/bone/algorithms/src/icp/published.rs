@@ -25,13 +25,13 @@ use std::ops::ControlFlow;
 pub struct PublishedParams {
     /// The stop rule. Required, as the paper does not say which it used.
     pub reading: PublishedReading,
-    /// Largest distance of a pair, mm. 5: as of the other kinds.
+    /// Largest distance of a pair. 5: as of the other kinds.
     #[param(IcpParams::default().max_pair_distance_mm, 1e-6..=1e6)]
     pub max_pair_distance_mm: f64,
     /// Largest number of steps. 500: as of the other kinds; the number of steps with `reading = "iterations"`.
     #[param(IcpParams::default().max_iterations, 1..=100_000)]
     pub max_iterations: u32,
-    /// Also stop after this many milliseconds. 0: never. A stop by time is recorded, and a replay stops at the same step.
+    /// Also stop after this time. 0: never. It is recorded, and a replay stops at the same step.
     #[param(0.0, 0.0..=1e9)]
     pub stop_after_ms: f64,
     /// Smallest number of pairs; fewer are an error. 10: six unknowns and some redundancy.

@@ -28,27 +28,25 @@ pub enum ThirdFrom {
 #[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 pub struct RulerErrors {
-    /// Error of the first mark along the bone, mm, and of all marks ruled from it. 0: as planned. The paper
-    /// draws it within 10 mm both ways, because the malleolus is hard to find.
+    /// Error of the first mark along the bone, and of all marks ruled from it. 0: as planned. The paper draws it within 10 mm
+    /// both ways, as the malleolus is hard to find.
     #[param(0.0, -100.0..=100.0)]
     pub first_mm: f64,
-    /// Error of the second mark from the first, along the bone, mm. 0: as planned. The paper draws it within 2 mm both
-    /// ways.
+    /// Error of the second mark from the first, along the bone. 0: as planned. The paper: within 2 mm both ways.
     #[param(0.0, -100.0..=100.0)]
     pub second_mm: f64,
-    /// Error of the third mark from the one it is ruled from, along the bone, mm. 0: as planned. The paper draws it
-    /// within 2 mm both ways.
+    /// Error of the third mark from the one it is ruled from, along the bone. 0: as planned. The paper: within 2 mm both ways.
     #[param(0.0, -100.0..=100.0)]
     pub third_mm: f64,
-    /// Error of the second mark across the bone, along the tangent of its face, mm. 0: as planned. The paper draws it
-    /// within 3 mm both ways, and calls the direction x.
+    /// Error of the second mark across the bone, along the tangent of its face (the paper's x). 0: as planned. The paper:
+    /// within 3 mm both ways.
     #[param(0.0, -20.0..=20.0)]
     pub across_mm: f64,
-    /// The mark from which the third one is ruled. `first`, as we read the paper's d13; `second` is the other reading.
+    /// The mark from which the third one is ruled. `first`: our reading of the paper's d13; `second`: the other.
     pub third_from: ThirdFrom,
-    /// Whether each mark is moved to the closest point of the surface. On: a surgeon marks bone. Off: displaced by the
-    /// errors alone, as the paper prints them; on a straight fibula the start then differs by 0.1 mm along the bone and
-    /// by 3 degrees about it on average, on a bent one by 0.3 mm and 10 degrees.
+    /// Whether each mark is moved to the closest point of the surface. true: a surgeon marks bone. false: displaced by the
+    /// errors alone, as the paper prints; the start then differs by 0.1 mm along the bone and 3 degrees about it on average on
+    /// a straight fibula, by 0.3 mm and 10 degrees on a bent one.
     #[param(true)]
     pub on_surface: bool,
 }
@@ -85,9 +83,9 @@ pub struct RuledPoint {
     pub asked_along_mm: f64,
     /// Nominal error across the bone, mm.
     pub asked_across_mm: f64,
-    /// Actual error along the bone, mm.
+    /// Actual error along the bone.
     pub along_mm: f64,
-    /// Actual error across the bone, mm.
+    /// Actual error across the bone.
     pub across_mm: f64,
     /// Distance of the displaced mark from the surface, mm.
     pub off_surface_mm: f64,

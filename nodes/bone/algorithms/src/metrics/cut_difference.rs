@@ -21,12 +21,11 @@ const SAMPLE_SEED: u64 = 1;
 #[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 pub struct CutDifferenceParams {
-    /// Spacing of the grid on which both fragments are remeshed for the comparison by vertices, mm. 1: as finely as
-    /// bones are meshed from CT.
+    /// Spacing of the grid on which both fragments are remeshed for the comparison by vertices. 1: as bones are meshed from CT.
     #[param(1.0, 0.05..=10.0)]
     pub spacing_mm: f64,
-    /// Points drawn evenly from each fragment for the distances to the other's surface. 1000: the standard error of the
-    /// mean over both is a fortieth of the standard deviation.
+    /// Points drawn evenly from each fragment for the distances. 1000: the standard error of their mean is a fortieth of the
+    /// standard deviation.
     #[param(1000, 100..=1_000_000)]
     pub n_samples: usize,
 }
@@ -71,7 +70,7 @@ pub struct CutVariant {
 pub struct EndReport {
     /// The plane's name.
     pub name: String,
-    /// Distance from the centre of the planned cut along the planned normal to the executed plane, mm.
+    /// Distance from the centre of the planned cut along the planned normal to the executed plane.
     pub offset_mm: f64,
     /// The offset, positive if the executed fragment is longer at this end, mm.
     pub longer_mm: f64,

@@ -53,12 +53,12 @@ pub struct Registered<'a> {
 #[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 pub struct EvidenceParams {
-    /// Whether the scan is also registered by shape alone, as a second opinion. true: it notices landmarks that are
-    /// swapped, displaced or of another bone; it takes about 0.15 s of one core.
+    /// Whether the scan is also registered by shape alone, as a second opinion. true: it notices landmarks that are swapped,
+    /// displaced or of another bone, in about 0.15 s of one core.
     #[param(true)]
     pub shape: bool,
-    /// When the scan's mirror image is registered too: `always`, `never`, or `if_raised`, where another sign is. `if_raised`: it
-    /// names the cause, and no mirrored bone passes the other signs.
+    /// When the scan's mirror image is registered, too; `if_raised`: if another sign is. `if_raised`: it names the cause, and
+    /// no mirrored bone passes the other signs.
     #[param(When::IfRaised)]
     pub mirror: When,
 }

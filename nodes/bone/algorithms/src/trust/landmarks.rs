@@ -21,12 +21,12 @@ const N_ALONE: usize = 4;
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct LandmarkErrors {
-    /// Standard deviation, per axis, of a landmark on the surface, planned and located, mm. 1.5: landmarks are aimed with a laser or
-    /// picked by hand to 1 to 2 mm along the surface.
+    /// Standard deviation, per axis, of a landmark on the surface, planned and located. 1.5: aimed with a laser or picked by
+    /// hand to 1 to 2 mm along the surface.
     #[param(1.5, 0.01..=100.0)]
     pub landmark_mm: f64,
-    /// Standard deviation, per axis, of a fiducial off the surface, mm. 0.5: fiducials touched with a tracked stylus were located to
-    /// 0.3 to 0.4 mm per axis (FRE of 0.4 to 0.6 mm) before the stylus' own tip, 0.2 mm, and the CT's voxel, 0.2 mm.
+    /// Standard deviation, per axis, of a fiducial off the surface. 0.5: with a tracked stylus fiducials were located to 0.3 to
+    /// 0.4 per axis (FRE of 0.4 to 0.6), to which the stylus' tip, 0.2, and the CT's voxel, 0.2, add.
     #[param(0.5, 0.01..=100.0)]
     pub fiducial_mm: f64,
 }

@@ -8,13 +8,13 @@ use serde::{Deserialize, Serialize};
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Limits {
-    /// Maximum mean TRE of the assessment points, mm. 1.5: half of what a cut may be off.
+    /// Maximum mean TRE of the assessment points. 1.5: half of what a cut may be off.
     #[param(1.5, 0.0..=1000.0)]
     pub max_tre_mm: f64,
-    /// Maximum displacement of a cut along its normal, in the middle of the bone, mm. 1.5: as above.
+    /// Maximum displacement of a cut along its normal, in the middle of the bone. 1.5: as above.
     #[param(1.5, 0.0..=1000.0)]
     pub max_offset_mm: f64,
-    /// Maximum tilt of a cut, degrees. 0.5: moves its rim by 0.1 mm on a fibula; a jaw of several pieces adds them up.
+    /// Maximum tilt of a cut. 0.5: moves its rim by 0.1 mm on a fibula; a jaw of several pieces adds them up.
     #[param(0.5, 0.0..=180.0)]
     pub max_tilt_deg: f64,
 }

@@ -39,17 +39,17 @@ pub(super) const SCAN_MOTION: &str = "motion during the scan";
 #[params]
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 pub struct PredictParams {
-    /// Standard deviation, per axis, of a marker's tracked position while it stands still, mm. 0.06: an optical tracker's
+    /// Standard deviation, per axis, of a marker's tracked position while it stands still. 0.06: an optical tracker's
     /// volumetric error of 0.1 mm in all.
     #[param(0.06, 0.0..=10.0)]
     pub marker_mm: f64,
-    /// Standard deviation of its tracked attitude about each axis, degrees. 0.023: that error over a marker of 150 mm.
+    /// Standard deviation of its tracked attitude about each axis. 0.023: that error over a marker of 150 mm.
     #[param(0.023, 0.0..=10.0)]
     pub marker_deg: f64,
-    /// Standard deviation, per axis, of the phantom's marker against its CAD, mm. 0.05: a printed part.
+    /// Standard deviation, per axis, of the phantom's marker against its CAD. 0.05: a printed part.
     #[param(0.05, 0.0..=10.0)]
     pub print_mm: f64,
-    /// Standard deviation of its attitude against the CAD about each axis, degrees. 0.03: as much over the phantom.
+    /// Standard deviation of its attitude against the CAD about each axis. 0.03: as much over the phantom.
     #[param(0.03, 0.0..=10.0)]
     pub print_deg: f64,
     /// Standard deviation, per axis, of the camera's place on its marker, mm, where `t_camera_camera_marker` is given and not calibrated in the
@@ -59,13 +59,13 @@ pub struct PredictParams {
     /// Standard deviation of its attitude there about each axis, degrees. 10: unknown.
     #[param(10.0, 0.0..=180.0)]
     pub hand_eye_deg: f64,
-    /// RMS error of the CT's surface over patches of a centimetre, mm, as stated: by how much it may swell or shrink with the
-    /// segmentation's threshold. 0.1: a seventh of a voxel of 0.7 mm. It widens the second interval only, as what varies along
-    /// the scan is in the first already.
+    /// RMS error of the CT's surface over patches of a centimetre, as stated: how much it may swell or shrink with the
+    /// segmentation's threshold. 0.1: a seventh of a voxel of 0.7 mm. It widens only the second interval, as the first has what
+    /// varies along the scan.
     #[param(0.1, 0.0..=10.0)]
     pub ct_bias_mm: f64,
-    /// Standard deviation, per axis, of a shift of the whole scan that no residual shows, mm, as of an ultrasound probe's calibration.
-    /// 0: markers and camera have their own. The `sensor` of the surface states it, too.
+    /// Standard deviation, per axis, of a shift of the whole scan that no residual shows, as of an ultrasound probe's
+    /// calibration. 0: markers and camera have their own. The surface's `sensor` states it, too.
     #[param(0.0, 0.0..=100.0)]
     pub scan_mm: f64,
     /// What may be wrong beside the pose.

@@ -20,12 +20,12 @@ const CONTRARY_LENGTH: f64 = 3.368;
 #[params]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct StylusErrors {
-    /// Standard deviation, per axis, of the calibrated tip, mm: all touches share it. 0.2: pivots of one electromagnetic stylus
+    /// Standard deviation, per axis, of the calibrated tip: all touches share it. 0.2: pivots of one electromagnetic stylus
     /// differ by 0.27 mm, those of an optical one by half as much.
     #[param(0.2, 0.0..=100.0)]
     pub tip_mm: f64,
-    /// Standard deviation, per axis, of a single touch, mm: the seat of the tip in its hole, and the tracked markers of stylus and
-    /// bone. 0.25: a hole of 1 mm, and a marker's 0.06 mm with its attitude over 150 mm of stylus, twice.
+    /// Standard deviation, per axis, of a single touch: the seat of the tip, and the tracked markers of stylus and bone. 0.25:
+    /// a hole of 1 mm, and a marker's 0.06 mm with its attitude over 150 mm of stylus, twice.
     #[param(0.25, 0.0..=100.0)]
     pub touch_mm: f64,
 }

@@ -13,11 +13,11 @@ use osteoflow_payloads::Json;
 use serde_json::json;
 use std::sync::Arc;
 
-/// A scan from a file of points, in any format that `register` reads; if the file is a surface, its vertices.
+/// A scan from a file of points, in any format that `register` reads; of a surface, its vertices.
 ///
-/// Points that are not finite are left out, with a warning that counts them. So are pixels without depth: points at one value that more
-/// than 1 % of the points share, if it is farther from each of the others than 20 times the median distance between neighbours, and points at
-/// 0, 0, 0 of fewer, if that is also outside of the box around all others.
+/// Left out, with a warning that counts them, are points that are not finite, and pixels without depth: points at one value
+/// that more than 1 % of the points share, if it is farther from each of the others than 20 times the median distance between
+/// neighbours; and points at 0, 0, 0 of fewer, if that is also outside of the box around all others.
 #[derive(Describe)]
 #[describe(example = r#"
 kind   = "acquire.cloud"
@@ -32,18 +32,18 @@ pub struct CloudFile;
 pub struct Params {
     /// The file.
     pub path: FilePath,
-    /// The frame of its coordinates. `camera`: a scan is in the frame of the camera that made it.
+    /// The frame of its coordinates. `camera`: that of the camera that made the scan.
     #[param("camera")]
     pub frame: String,
-    /// Millimetres in the file's unit. 1: most scanners write millimetres; 1000 for a file in metres.
+    /// Millimetres in the file's unit. 1: most scanners write millimetres; 1000: metres.
     #[param(1.0, 1e-6..=1e6)]
     pub unit_mm: f64,
-    /// Position of the camera in the file's coordinates, mm; scans in the frame of their camera have it at 0, 0, 0. Points then
-    /// pair only with the side of the bone that faces it. Unset: unknown, as after a turntable or a merge of scans.
+    /// Position of the camera in the file's coordinates, mm; 0, 0, 0 for a scan in its camera's frame. Points then pair only
+    /// with the side of the bone that faces it. Unset: unknown, as after a turntable or a merge of scans.
     pub camera: Option<[f64; 3]>,
-    /// Which part of the file is the scan: `"largest"`, its number by size, such as `"2"`, or `"nearest:X,Y,Z"`, the part nearest to
-    /// a point, mm; `osteoflow info` lists them. Parts of a surface share corners; of points a part is a cluster: gaps in it are at
-    /// most five times the median distance to the nearest other point. Unset: all of it.
+    /// Which part of the file is the scan: `"largest"`, its number by size, such as `"2"`, or `"nearest:X,Y,Z"`, the part
+    /// nearest to a point, mm; `osteoflow info` lists them. Parts of a surface share corners; in a cluster of points, gaps are
+    /// at most five times the median distance to the nearest other point. Unset: all of it.
     pub component: Option<String>,
 }
 
@@ -54,7 +54,7 @@ pub struct Out {
     #[port(frame = "$frame")]
     cloud: Cloud,
     /// What the file holds: `holds` (`points`, or `vertices` of a surface), `n_dropped` points that are not finite, `n_invalid`
-    /// that are pixels without depth, and the `space` of its coordinates.
+    /// pixels without depth, and the `space` of its coordinates.
     report: Json,
 }
 

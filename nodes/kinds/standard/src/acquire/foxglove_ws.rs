@@ -38,11 +38,10 @@ const ADDRESS: &str = "ws://HOST:PORT, such as ws://127.0.0.1:8765";
 
 /// Topics of a running Foxglove bridge: clouds, images, transforms and points of a ROS 2 system.
 ///
-/// A client of the Foxglove WebSocket protocol that only reads: it subscribes to the topics that its ports name, and to nothing else.
-/// Each entry of `out` is a port with a `type` and a topic, as those of `acquire.mcap`, so that a graph for a recording reads the bridge by
-/// another kind and an address. Protobuf, JSON and CDR; metres become millimetres. A topic of another schema or encoding, and one that
-/// is not advertised, is reported with the topics that are there. Stamps are the sender's; the offset of its clock is reported. A
-/// lost tool is an empty that says why. TLS (`wss://`) is not supported. docs/use/live.md has the rest.
+/// A client that only reads the topics that its ports name. Ports are those of `acquire.mcap`, so a graph for a recording reads
+/// the bridge by another kind and an address. A topic of another schema or encoding, or one that is not advertised, is reported
+/// with the topics that are there. Stamps are the sender's; the offset of its clock is reported. A lost tool is an empty that
+/// says why. TLS (`wss://`) is not supported. docs/use/live.md has the rest.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "acquire.foxglove_ws"
@@ -64,10 +63,10 @@ pub struct FoxgloveWs {
 #[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 pub struct Params {
-    /// Address of the server, with the path that it asks for. ws://127.0.0.1:8765: the port of foxglove_bridge.
+    /// Address of the server, with its path. ws://127.0.0.1:8765: that of foxglove_bridge.
     #[param("ws://127.0.0.1:8765")]
     pub address: String,
-    /// Frames of the server that have other names in the graph, such as `{ camera_depth_optical_frame = "camera" }`.
+    /// Frames with another name in the graph, such as `{ camera_depth_optical_frame = "camera" }`.
     pub frames: BTreeMap<String, String>,
     /// What every source over a network has.
     #[serde(flatten)]

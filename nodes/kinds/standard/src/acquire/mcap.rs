@@ -19,11 +19,10 @@ pub use topics::reads;
 /// The streams of a recording in MCAP, of Foxglove's schemas or ROS 2's, in the order of sensor time.
 ///
 /// Each entry of `out` is a port with a `type` and a topic. Protobuf, JSON and CDR, any chunk compression, with or without an
-/// index; `path` may be the folder of a ROS 2 bag. Transforms of a topic named `tf_static` hold from the beginning. Metres become millimetres; points that are not finite are left out, counted and reported. A pose that the tracker
-/// wrote without seeing the marker is an empty that says why. A rounded rotation is replaced by the nearest one, and each
-/// topic reports its largest correction; a deviation above 0.001 is an error that names topic and message. Topics that no
-/// port reads are listed in the log. A port whose `parent` and `child` are joined by several transforms, or by an inverse, joins them by the
-/// path in their tree, as tf of ROS does, and says so.
+/// index. Transforms of a topic named `tf_static` hold from the beginning. Metres become millimetres; points that are not
+/// finite are left out, counted and reported. A pose that was written without seeing the marker is an empty that says why. A
+/// rounded rotation is replaced by the nearest one, and each topic reports its largest correction; above 0.001 it is an error.
+/// Topics that no port reads, and transforms that are joined (`max_gap_ms`), are listed in the log.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "acquire.mcap"
@@ -41,11 +40,11 @@ pub struct Mcap {
 #[params(path)]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 pub struct Params {
-    /// The recording.
+    /// The recording, or the folder of a ROS 2 bag.
     pub path: FilePath,
-    /// Whether the intact part of a damaged recording is used, with a warning. false: a damaged recording is an error.
+    /// Whether the intact part of a damaged recording is used, with a warning. false: it is an error.
     pub allow_truncated: bool,
-    /// Frames of the recording that have other names in the graph, such as `{ camera_depth_optical_frame = "camera" }`.
+    /// Frames with another name in the graph, such as `{ camera_depth_optical_frame = "camera" }`.
     pub frames: BTreeMap<String, String>,
 }
 

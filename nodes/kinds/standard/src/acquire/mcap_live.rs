@@ -12,11 +12,11 @@ use osteoflow_node::{
 };
 use std::time::{Duration, Instant};
 
-/// A recording played in real time, as if its devices sent it now: a live source for tests and rehearsals.
+/// A recording played in real time, as if its devices sent it now, for tests and rehearsals.
 ///
 /// Streams, ports and stamps are those of `acquire.mcap`; an item arrives when its stamp is due, or up to `jitter_ms` later.
-/// As with a device, items that the graph does not take in time wait, or are dropped by the policy of their wire. If nothing
-/// is dropped and nothing is late, the results are those of `acquire.mcap`, bit for bit.
+/// Items that the graph does not take in time wait, or are dropped by the policy of their wire, as with a device. If nothing is
+/// dropped or late, the results are those of `acquire.mcap`, bit for bit.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "acquire.mcap_live"
@@ -38,17 +38,17 @@ pub struct Params {
     /// Those of `acquire.mcap`.
     #[serde(flatten)]
     pub mcap: mcap::Params,
-    /// Playback speed relative to the recording. 1: as recorded; more simulates overload.
+    /// Playback speed relative to the recording. 1: as recorded; more: overload.
     #[param(1.0, 0.001..=1e9)]
     pub rate: f64,
-    /// Maximum delay of an item, drawn for each from the run's seed; each stream stays in order. 0: no delay.
+    /// Maximum delay of an item, drawn for each from the run's seed; each stream stays in order. 0: none.
     #[param(0.0, 0.0..=60_000.0)]
     pub jitter_ms: f64,
-    /// Maximum delay of one stream against another; an item beyond it is late and replaced by an empty. Joins wait this much
-    /// longer. 0: sufficient without jitter.
+    /// Maximum delay of one stream against another. A later item is replaced by an empty, and joins wait this much longer. 0:
+    /// enough without jitter.
     #[param(0.0, 0.0..=60_000.0)]
     pub max_delay_ms: f64,
-    /// Time without an item after which the source is reported as silent. 5 s: longer than any camera's interval.
+    /// Time without an item after which the source is reported as silent. 5: longer than any camera's interval.
     #[param(osteoflow_node::SILENT_AFTER.as_secs_f64(), 0.01..=86_400.0)]
     pub silent_after_s: f64,
 }

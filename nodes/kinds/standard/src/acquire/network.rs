@@ -31,18 +31,18 @@ use std::{
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct NetworkParams {
-    /// Time to wait for the first connection, and for the first topic where topics are advertised, after which the run fails. 10 s:
-    /// a server takes that long to start.
+    /// Time to wait for the first connection, and for the first topic if topics are advertised, before the run fails. 10: a
+    /// server takes that long to start.
     #[param(10.0, 0.1..=86_400.0)]
     pub timeout_s: f64,
-    /// Whether to wait for the other side again when the connection ends. false: the source ends with it.
+    /// Whether to wait for a new connection when one ends. false: the source ends with it.
     #[param(true)]
     pub reconnect: bool,
-    /// Time without an item after which the source is reported as silent. 5 s: longer than any camera's interval.
+    /// Time without an item after which the source is reported as silent. 5: longer than any camera's interval.
     #[param(osteoflow_node::SILENT_AFTER.as_secs_f64(), 0.01..=86_400.0)]
     pub silent_after_s: f64,
-    /// Maximum delay of one device or topic against another; an item beyond it is late and replaced by an empty. Joins wait this much
-    /// longer. 0: sufficient where the sender sends in the order of its stamps.
+    /// Maximum delay of one device or topic against another. A later item is replaced by an empty, and joins wait this much
+    /// longer. 0: enough if the sender sends in the order of its stamps.
     #[param(0.0, 0.0..=60_000.0)]
     pub max_delay_ms: f64,
 }

@@ -33,10 +33,9 @@ const SETTLE: Duration = Duration::from_secs(1);
 /// Trackers, scans and points over OpenIGTLink, from a PLUS server, 3D Slicer or anything that speaks it.
 ///
 /// Each entry of `out` is a port with a `type`, its frames and a device; PLUS calls the pose of `stylus` in `reference`
-/// `StylusToReference`. TRANSFORM, TDATA, POSITION, POINT, POLYDATA, IMAGE, STATUS and STRING of header versions 1 and 2 are read,
-/// with their CRC checked; damaged messages are reported and left out. Lengths are millimetres in single precision, transforms are
-/// taken as they are, and coordinates in `ct` are turned to LPS. Stamps are the sender's; the offset of its clock is reported
-/// once, and again when it jumps. A lost tool is an empty that says why. docs/use/openigtlink.md has the rest.
+/// `StylusToReference`. docs/use/openigtlink.md lists the messages. A damaged message is left out and reported. Coordinates in
+/// `ct` are turned to LPS. Stamps are the sender's; the offset of its clock is reported once, and again when it jumps. A lost
+/// tool is an empty that says why.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "acquire.openigtlink"
@@ -79,22 +78,24 @@ pub enum Clock {
 #[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 pub struct Params {
-    /// Host and port of the sender, or where to listen for it. 127.0.0.1:18944: the port of the protocol.
+    /// Host and port of the sender, or where to listen for it. 127.0.0.1:18944: the protocol's port.
     #[param("127.0.0.1:18944")]
     pub address: String,
-    /// `client` connects to the sender; `server` listens for one sender at a time. client: PLUS is a server.
+    /// `client` connects to the sender; `server` listens for one sender at a time. `client`: PLUS is a server.
     #[param(Role::Client)]
     pub role: Role,
-    /// The least time between two TDATA, which the source then asks for (STT_TDATA): PLUS sends them on request only. Unset: not
+    /// Least time between two TDATA, for which the source then asks (STT_TDATA): PLUS sends them on request only. Unset: not
     /// asked for.
     #[schemars(range(min = 0, max = 60_000))]
     pub tdata_ms: Option<u32>,
-    /// The clock of the stamps. `sender`: as they are sent. `receiver`: corrected by the offset of the sender's clock, for joins with
-    /// another source; its first messages wait for at most 1 s until 20 of them give the offset, which is corrected again when the
-    /// clock jumps. sender: one sender's stamps agree with each other, and the offset contains the shortest delay of a message.
+    /// The clock of the stamps. `sender`: as they are sent. `receiver`: corrected by the offset of the sender's clock, for
+    /// joins with another source; the first messages wait for at most 1 s until 20 of them give the offset, and a jump of the
+    /// clock corrects it again. `sender`: stamps of one sender agree, while the offset contains the shortest delay of a
+    /// message.
     #[param(Clock::Sender)]
     pub clock: Clock,
-    /// Whether each body must have the CRC of its header. true: a damaged number is left out; false is for a sender that writes none.
+    /// Whether each body must have the CRC of its header. true: a damaged number is left out; false: for a sender that writes
+    /// none.
     #[param(true)]
     pub crc: bool,
     /// What every source over a network has.

@@ -7,10 +7,10 @@ use osteoflow_node::{
     Context, Describe, FilePath, NodeError, Outputs, ParamError, schemars::JsonSchema, serde::Deserialize,
 };
 
-/// Named points that were picked in another program or on the page of `osteoflow view`, from a file.
+/// Named points from a file, picked in another program or on the page of `osteoflow view`.
 ///
 /// Formats: 3D Slicer's `.mrk.json` and `.fcsv`, MeshLab's `.pp`, CloudCompare's picking list, and CSV with the heading
-/// `label,x,y,z`; mm. Slicer's files state LPS or RAS; RAS is turned to LPS, with a note. The others are taken as they are.
+/// `label,x,y,z`; mm. RAS, which Slicer's files state, is turned to LPS, with a note. The others are taken as they are.
 #[derive(Describe)]
 #[describe(example = r#"
 kind  = "acquire.points"
@@ -25,8 +25,8 @@ pub struct PointsFile;
 pub struct Params {
     /// The file.
     pub path: FilePath,
-    /// The frame of its coordinates, such as `ct` for points on the bone and `camera` for points on a scan. There is no default: a
-    /// file of points does not say what they were picked on.
+    /// The frame of its coordinates, such as `ct` for points on the bone, or `camera` on a scan. No default: a file does not
+    /// say what its points were picked on.
     pub frame: String,
 }
 

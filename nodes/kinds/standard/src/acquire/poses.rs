@@ -17,13 +17,12 @@ use osteoflow_node::{
 };
 use std::collections::BTreeMap;
 
-/// The poses of a tracker's log in the order of their stamps: tracked sequences of PLUS (`.igs.mha`), trajectories of TUM, EuRoC and
-/// KITTI, `t_ns,parent,child,..`, and tables of NDI, Atracsys and others, whose heading `columns` describes.
+/// The poses of a tracker's log in the order of their stamps: `.igs.mha` of PLUS, TUM, EuRoC, KITTI, NDI, Atracsys, motion
+/// capture and tables.
 ///
 /// Each entry of `out` is a port with `type = "geometry/Pose"`, its frames, and `parent` and `child` where the log has several
-/// transforms. A tool that was not seen gives an empty item that says why: a status other than `OK`, numbers that are missing, an all-zero
-/// quaternion. Frames that several transforms join, or an inverse, are joined as tf of ROS does it. docs/use/formats.md has the units and
-/// senses of the formats.
+/// transforms. A tool that was not seen gives an empty that says why: a status other than `OK`, missing numbers, an all-zero
+/// quaternion. docs/use/formats.md has the units and senses of the formats.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "acquire.poses"
@@ -42,26 +41,27 @@ pub struct Poses {
 pub struct Params {
     /// The log.
     pub path: FilePath,
-    /// The format: `igs_mha`, `tum`, `euroc`, `kitti`, `poses`, `ndi`, `motion_capture` or `table`. Unset: recognised by the content.
+    /// The format; `poses` is `t_ns,parent,child,..`. Unset: recognised by the content.
     pub format: Option<LogFormat>,
-    /// Millimetres in the log's unit. Unset: 1000 for TUM, EuRoC and KITTI, which are in metres, the stated one for motion capture, and 1 for the others.
+    /// Millimetres in the log's unit. Unset: 1000 for TUM, EuRoC and KITTI, the stated one for motion capture, 1 for the
+    /// others.
     #[schemars(range(min = 1e-6, max = 1e6))]
     pub unit_mm: Option<f64>,
-    /// The frame that the poses lead to, in formats that name none: TUM, EuRoC, KITTI.
+    /// The frame that the poses lead to, in TUM, EuRoC and KITTI, which name none.
     pub parent: Option<String>,
-    /// The frame that moves, in formats that name none.
+    /// The frame that moves, in the same formats.
     pub child: Option<String>,
-    /// Poses a second, for KITTI, which has no stamps, and for tables that count frames.
+    /// Poses per second, for KITTI, which has no stamps, and tables that count frames.
     #[schemars(range(min = 1e-3, max = 1e6))]
     pub rate_hz: Option<f64>,
     /// The `times.txt` of a KITTI trajectory: a stamp in seconds for each pose.
     pub times: Option<FilePath>,
     /// What is in the columns of a table.
     pub columns: Option<Columns>,
-    /// Added to all stamps, s: the offset of the tracker's clock from that of the other sources. 0: they have one clock.
+    /// Added to all stamps: the offset of the tracker's clock from that of other sources. 0: one clock.
     #[param(0.0, -1e10..=1e10)]
     pub stamp_offset_s: f64,
-    /// Frames of the log that have other names in the graph, such as `{ Tracker = "world" }`.
+    /// Frames with another name in the graph, such as `{ Tracker = "world" }`.
     pub frames: BTreeMap<String, String>,
 }
 

@@ -36,7 +36,7 @@ procedure_ports! {
     /// The marker on the phantom, tracked.
     #[port(to = "@world", from = "@phantom_marker")]
     PhantomMarker = phantom_marker: Pose,
-    /// The marker on the phantom, known from its CAD; empty if it is not known.
+    /// The marker on the phantom by its CAD; empty if it is not known.
     #[port(to = "@phantom", from = "@phantom_marker")]
     PhantomMarkerCad = phantom_marker_cad: Pose,
     /// The marker on the bone, tracked.
@@ -58,20 +58,20 @@ procedure_ports! {
     StylusPalpation = stylus_palpation: Points,
     /// Whether the procedure was simulated.
     Simulated = simulated: Flag,
-    /// The true registration at the scan, for scoring; only a simulation has it.
+    /// Simulated: the true registration at the scan, for scoring.
     #[port(to = "@ct", from = "@world")]
     TCtWorldTrue = t_ct_world_true: Pose,
-    /// The true calibration, for scoring; only a simulation has it.
+    /// Simulated: the true calibration, for scoring.
     #[port(to = "@camera", from = "@camera_marker")]
     TCameraCameraMarkerTrue = t_camera_camera_marker_true: Pose,
-    /// The true laser spots, carried with the bone to the full scan, for scoring; only a simulation has them.
+    /// Simulated: the true laser spots, carried with the bone to the full scan, for scoring.
     #[port(frame = "@world")]
     LaserSpotsTrue = laser_spots_true: Points,
-    /// The marks on the bone that the laser was aimed at, at the full scan, for scoring; only a simulation has them.
+    /// Simulated: the marks that the laser was aimed at, at the full scan, for scoring.
     #[port(frame = "@world")]
     LaserMarksTrue = laser_marks_true: Points,
-    /// The holes of the check piece as read from the camera's cloud: one list where the phantom stood (`calibration_1`, ..),
-    /// then one at the bone (`working_1`, ..).
+    /// The holes of the check piece as read from the cloud: one list at the phantom's place (`calibration_1`, ..), then one at
+    /// the bone (`working_1`, ..).
     #[port(frame = "@camera")]
     CheckCamera = check_camera: Points,
     /// The holes of the check piece by its marker and CAD.
@@ -86,14 +86,14 @@ procedure_ports! {
     /// The bone with the laser spot on M1, M2, .. in turn, labelled so, if no stylus touches them.
     #[port(frame = "@camera")]
     LaserAssessment = laser_assessment: Cloud,
-    /// A colour image at each scan of `laser`, labelled as it; only a simulation with `image.taken` has them.
+    /// Simulated: a colour image at each scan of `laser`, labelled as it, with `image.taken`.
     #[port(frame = "@camera")]
     Image = image: Image,
-    /// Where the planned assessment points truly are at the full scan, for scoring, also where CT and plan differ from the
-    /// bone; only a simulation has them.
+    /// Simulated: the true places of the planned assessment points at the full scan, for scoring, also if CT and plan differ
+    /// from the bone.
     #[port(frame = "@world")]
     AssessmentTrue = assessment_true: Points,
-    /// Where the planned planes truly are at the full scan, for scoring; only a simulation has them.
+    /// Simulated: the true places of the planned planes at the full scan, for scoring.
     #[port(frame = "@world")]
     PlanesTrue = planes_true: Planes,
 }

@@ -21,21 +21,20 @@ const ONE_IN: usize = 20;
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct PoseStreamParams {
-    /// Silence after which a tracked marker is lost and the port gives an empty; also at the end, up to the last message of the
-    /// recording on any topic, or the last pose of the log. Unset: never.
+    /// Silence after which a tracked marker is lost and the port gives an empty; also at the end, up to the last message on any
+    /// topic or the last pose of the log. Unset: never.
     #[schemars(range(min = 1.0, max = 3_600_000.0))]
     pub lost_after_ms: Option<f64>,
-    /// Time for which poses may be the same to the last bit while their stamps go on: beyond it the tracker is frozen, and the
-    /// port gives empties that say why until the pose changes. Unset: as long as this tracker repeats its poses by chance, three times
-    /// over, and 500 to 2000 ms: at rest one that rounds to 0.1 mm repeats a pose for up to 0.85 s. 0: never, for a constant that is
-    /// given again and again.
+    /// Time for which poses may be the same to the last bit while their stamps go on. Beyond it the tracker is frozen, and the
+    /// port gives empties that say why until the pose changes. Unset: three times as long as this tracker repeats poses by
+    /// chance, within 500 to 2000: at rest one that rounds to 0.1 mm repeats a pose for up to 0.85 s. 0: never, for a constant.
     #[schemars(range(min = 0.0, max = 3_600_000.0))]
     pub frozen_after_ms: Option<f64>,
     /// How a marker moves at most: poses that contradict it, or their neighbours, are left out and counted.
     pub motion: MotionLimits,
-    /// Time between two samples up to which a transform is interpolated, where `parent` and `child` are joined by several
-    /// transforms, or by an inverse, as tf of ROS joins frames: by the one path in their tree, each transform at the same time. Unset:
-    /// 200, four samples of a slow tracker.
+    /// Time between two samples up to which a transform is interpolated, if `parent` and `child` are joined by several
+    /// transforms or an inverse: by the one path in their tree, each at the same time, as tf of ROS does. Unset: 200, four
+    /// samples of a slow tracker.
     #[schemars(range(min = 0.0, max = 3_600_000.0))]
     pub max_gap_ms: Option<f64>,
 }

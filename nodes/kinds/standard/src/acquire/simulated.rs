@@ -11,10 +11,10 @@ use osteoflow_node::{
 };
 use osteoflow_simulation::{Procedure, ProcedureParams};
 
-/// A simulated procedure on the built-in bone or on one of your own: everything that a recording holds, and the truth.
+/// A simulated procedure on the built-in bone or one of your own: all that a recording holds, and the truth.
 ///
-/// Camera, tracker, phantom, laser, stylus and their errors are drawn from the run's seed. The truth has ports of its own,
-/// for scoring only.
+/// The errors of all devices are drawn from the run's seed. The truth has ports of its own, for scoring only. "Other simulator"
+/// is the noise model beside the recording of the development data; "assumed" is not measured.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "acquire.simulated"

@@ -10,7 +10,8 @@ use osteoflow_simulation::{Procedure, ProcedureParams, StreamParams};
 
 /// The bone of a simulated procedure, scanned again and again while it moves.
 ///
-/// The procedure is that of `acquire.simulated` with the same parameters and seed; the scans begin a second before its last motion.
+/// The procedure is that of `acquire.simulated` with the same parameters and seed. The scans begin a second before its last
+/// motion.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "acquire.simulated_stream"

@@ -18,14 +18,14 @@ use std::collections::BTreeMap;
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PortParams {
-    /// The topic that the port reads.
+    /// Its topic.
     pub topic: Option<String>,
-    /// Several topics, merged in the order of sensor time; of a bridge, in the order of arrival.
+    /// Several topics, merged in the order of sensor time; from a bridge, of arrival.
     pub topics: Vec<String>,
-    /// Names: one for each of `topics`, or, with one topic, one for each message in order. Default: the topic's name.
+    /// Names: one for each of `topics`; with one topic, one for each message in order. Default: the topic's name.
     pub labels: Vec<String>,
-    /// Whether the topic may be missing, in which case the port gives one empty. false: a missing topic is an error, and a warning of a
-    /// bridge, which may advertise it later.
+    /// Whether the topic may be missing: the port then gives one empty. false: an error, or a warning of a bridge, which may
+    /// advertise it later.
     pub optional: bool,
     /// The transforms that the port takes.
     #[serde(flatten)]
@@ -33,26 +33,26 @@ pub struct PortParams {
     /// When poses are lost.
     #[serde(flatten)]
     pub stream: PoseStreamParams,
-    /// What the stamp is of messages that have none: `refuse`, or `publish_time`, the time at which they were published. `refuse`: if
-    /// a pose moves, that time pairs them wrongly; where none does, it is used and told.
+    /// The stamp of messages that have none: `refuse`, an error, or `publish_time`. `refuse`: if a pose moves, the time of
+    /// publishing pairs them wrongly; if none moves, it is used, with a note.
     pub unstamped: Unstamped,
-    /// The metadata record that holds the region of interest, or the key named by `key`; such as `procedure`.
+    /// The metadata record with the region of interest, or with `key`; such as `procedure`.
     pub metadata: Option<String>,
-    /// The key of the metadata record whose value `true` means yes; anything else, or no such key, means no.
+    /// The key of that record whose value `true` sets a flag; another value, or no key, unsets it.
     pub key: Option<String>,
-    /// What a `report/Flag` gives that nothing states: neither `metadata` with `key` nor `present`. Unset: no; of a bridge, a flag has one
-    /// of the three.
+    /// The value of a `report/Flag` that neither `metadata` with `key` nor `present` states. Unset: no; a flag of a bridge
+    /// needs one of the three.
     pub default: Option<bool>,
-    /// The topic with the calibration of the images' camera; it must be of their size and frame, and the same in all its messages. Its
+    /// The topic with the calibration of the images' camera: of their size and frame, and the same in all messages. Its
     /// distortion is undone: `plumb_bob`, `rational_polynomial`, `equidistant`.
     pub calibration: Option<String>,
-    /// Whether the images are rectified already, so that `P` of the calibration is their camera and `D` is not used. Unset: no, and
-    /// a topic with `rect` in its name whose calibration has a distortion is an error.
+    /// Whether the images are rectified: `P` of the calibration is then their camera, and `D` is not used. Unset: no, and a
+    /// topic with `rect` in its name whose calibration has a distortion is an error.
     pub rectified: Option<bool>,
-    /// The depth of one step of a depth image, mm. Unset: 1 for integers and 1000 for floats, as ROS has them (REP 118).
+    /// Depth of one step of a depth image. Unset: 1 for integers and 1000 for floats (REP 118 of ROS).
     #[schemars(range(min = 1e-6, max = 1000.0))]
     pub depth_unit_mm: Option<f64>,
-    /// A topic; the port gives whether the recording has messages on it, or the bridge advertises it.
+    /// A topic; a flag says whether the recording has messages on it, or the bridge advertises it.
     pub present: Option<String>,
 }
 

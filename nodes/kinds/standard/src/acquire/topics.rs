@@ -64,9 +64,9 @@ impl FrameNames {
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct TransformFilter {
-    /// Only transforms with this parent frame, where a topic carries several.
+    /// Only transforms with this parent frame.
     pub parent: Option<String>,
-    /// Only transforms with this child frame; for a pose in a frame, the name of the frame that moves.
+    /// Only transforms with this child frame; of a pose in a frame, the name of the frame that moves.
     pub child: Option<String>,
 }
 

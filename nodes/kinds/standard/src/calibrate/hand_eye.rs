@@ -10,12 +10,11 @@ use osteoflow_node::{
 
 /// The pose of the camera's marker in the camera, from poses of the marker and of a target that does not move: `A X = X B`.
 ///
-/// The target is a phantom or a board whose pose the camera sees, in any frame of its own. Its place in the tracker's
-/// world need not be known, while `calibrate.phantom_icp` needs it. The camera is turned by 30 degrees or more about
-/// two axes or more, and held still at each pose. Motions about one axis alone are refused, as is a target that the poses do not have in
-/// one place; the reason names inverses, another order of the quaternion, a mirrored log, another unit, clocks that differ and a camera
-/// on a stand. Single poses that contradict the others are left out. These, and a board of the wrong size, are signs. The report has the
-/// error with an interval of 90 %, the scale beside the pose, how far the methods differ and how well the motions determine the answer.
+/// The target is a phantom or a board whose pose the camera sees, in any frame of its own. Its place in the tracker's world
+/// need not be known, while `calibrate.phantom_icp` needs it. The camera is turned by at least 30 degrees about at least two
+/// axes, and held still at each pose. Single poses that contradict the others are left out. The report has the error with an
+/// interval of 90 %, the scale, how far the methods differ and how well the motions determine the answer.
+/// docs/method/calibration.md lists what is refused and what is a sign.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -35,10 +34,10 @@ pub struct HandEye;
 #[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 pub struct Params {
-    /// The method. park_martin: rotation by least squares, then translation; the others show in the report how far they differ.
+    /// The method. `park_martin`: rotation by least squares, then translation. The report shows how far the others differ.
     pub method: HandEyeMethod,
-    /// Largest difference between the stamps of a pose of the target and the nearest one of the marker, ms. 25: half an interval
-    /// of a slow tracker; the camera is held still.
+    /// Largest difference between the stamps of a pose of the target and the nearest one of the marker. 25: half an interval of
+    /// a slow tracker; the camera is held still.
     #[param(25.0, 0.0..=10_000.0)]
     pub max_stamp_difference_ms: f64,
 }

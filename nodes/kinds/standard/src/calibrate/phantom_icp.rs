@@ -8,12 +8,12 @@ use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 
 /// The pose of the camera's marker in the camera, from one scan of a tracked phantom of known shape.
 ///
-/// `t_camera_camera_marker = t_camera_phantom * t_phantom_phantom_marker * t_phantom_marker_world *
-/// t_world_camera_marker`, with `t_camera_phantom` from an ICP of the phantom's CAD that starts at the marker's
-/// nominal pose. At least three faces must be seen, one of them with few points. A scan that is mirrored, of the wrong size,
-/// farther from the CAD than its own noise explains, or far from the nominal pose is refused, and so is one of a phantom that lacks a
-/// block of the CAD or has one that the CAD lacks. What the seen faces leave open is a warning: the scale, the handedness, a turn in
-/// which the phantom fits as well. The report lists the planes that the camera could see, and how much of each it saw.
+/// `t_camera_camera_marker = t_camera_phantom * t_phantom_phantom_marker * t_phantom_marker_world * t_world_camera_marker`,
+/// with `t_camera_phantom` from an ICP of the phantom's CAD that starts at the marker's nominal pose. At least three faces must
+/// be seen, one of them with few points. Refused are a scan that is mirrored, of the wrong size, farther from the CAD than its
+/// own noise explains, or far from the nominal pose, and a phantom that lacks a block of the CAD or has one more. What the seen
+/// faces leave open is a warning: the scale, the handedness, a turn in which the phantom fits as well. The report lists the
+/// planes that the camera could see, and how much of each it saw.
 #[derive(Describe)]
 #[describe(
     example = r#"

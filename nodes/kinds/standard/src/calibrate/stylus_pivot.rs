@@ -6,11 +6,10 @@ use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 
 /// The tip of a tracked stylus, from poses of its marker while it is turned about its tip.
 ///
-/// Least squares over `R_i tip + x_i = pivot`. Poses whose tip is farther from the pivot than six standard deviations are left out
-/// and told, and the predicted error counts poses that follow each other as far as their errors are independent. Poses that are tilted
-/// too little, or about one axis only, are refused, as are a tip farther from its marker than any stylus has it and residuals that no
-/// divot and tracker leave. A tip that drifts, or is as near as that of poses in metres, is a sign. That a tracker's lengths are all
-/// wrong by a few percent cannot be noticed.
+/// Least squares over `R_i tip + x_i = pivot`. Poses whose tip is farther from the pivot than six standard deviations are left
+/// out, with a note. The predicted error counts successive poses only as far as their errors are independent.
+/// docs/method/calibration.md lists what is refused and what is a sign. Lengths of a tracker that are wrong by a few percent go
+/// unnoticed.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -26,12 +26,12 @@ pub struct Params {
     /// Then every n-th point is kept, in order. 1: all.
     #[param(1, 1..=1_000_000)]
     pub every: usize,
-    /// Then, of a cloud with more points, every n-th is kept, with the least n that leaves no more than these; a warning says so. 0:
-    /// all. 100000 is ample for a registration: the mean of as many residuals of 0.1 mm is known to 0.0003 mm, a twentieth of the
-    /// error that the surface leaves.
+    /// Then, of a larger cloud, every n-th point is kept, with the least n that leaves no more than this; a warning says so. 0:
+    /// all. 100000 is ample for a registration: the mean of as many residuals of 0.1 mm is known to 0.0003 mm, a twentieth of
+    /// the error that the surface leaves.
     #[param(0, 0..=100_000_000)]
     pub max_points: usize,
-    /// Then this number of points is kept, in order. 0: all. A cloud with fewer keeps all, with a warning.
+    /// Then this number of points is kept, in order; a cloud with fewer keeps all, with a warning. 0: all.
     #[param(0, 0..=100_000_000)]
     pub n_points: usize,
     /// The points that are kept. `stride`: at even steps through the cloud's order. `random`: drawn from the run's seed, with

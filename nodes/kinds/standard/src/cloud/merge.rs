@@ -6,8 +6,8 @@ use osteoflow_node::{Context, Describe, Emit, Inputs, NodeError, Outputs, functi
 
 /// Several views of the bone as one cloud, in the bone's frame.
 ///
-/// The merged cloud has no viewpoint, since several cameras saw it. A view that is missing, such as one whose pose was lost, is left out, and a
-/// warning says how many are and why; without any there is no merged cloud.
+/// The merged cloud has no viewpoint. A missing view, such as one whose pose was lost, is left out, and a warning says how many
+/// are and why; without any there is no merged cloud.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "cloud.merge"

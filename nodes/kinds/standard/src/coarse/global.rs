@@ -9,16 +9,12 @@ use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, Unused, func
 
 /// Registration of the scan by shape alone, without landmarks.
 ///
-/// The long axis of a scan that is 1.5 times as long as wide is aligned with the bone in both directions, in steps along it and
-/// rotations about it. A scan of another shape is tried in any orientation anywhere on the surface; so is a scan that
-/// is less than 2.5 times as long as wide, or that fits badly along the axis. Where much of the scan stays off the
-/// surface, surroundings may be in it, and patches of it are tried in the same way. Planes on which the scan is wider than the whole
-/// surface, such as a table, are left out. The best starts are refined, and the best
-/// of these is the answer. A shaft is nearly a cylinder, so a short scan also fits well in wrong places. `clearness` in
-/// the report says how much worse the second best place fits, from 0 (as well) to 1; if it is low, a warning is given.
-/// Of scans of one side of two real bones, all of 95 mm and more were registered within 0.1 mm, 5 of 6 of 60 mm, and 6
-/// of 12 of 40 mm and less; clearness was 0.4 and more for right answers and 0.2 and less for wrong ones. Takes 0.1 to
-/// 0.2 s of one core for a shaft, 0.3 to 0.9 s for other shapes, and up to 2 s among surroundings, once the surface is prepared.
+/// docs/method/search.md has the method. Planes wider than the whole surface, such as a table, are left out. A shaft is nearly
+/// a cylinder, so a short scan also fits well in wrong places. `clearness` in the report says how much worse the second best
+/// place fits, from 0 (as well) to 1; a low one gives a warning. Of scans of one side of two real bones, all of 95 mm and more
+/// were registered within 0.1 mm, 5 of 6 of 60 mm, and 6 of 12 of 40 mm and less; clearness was at least 0.4 for right answers
+/// and at most 0.2 for wrong ones. On one core it takes 0.1 to 0.2 s for a shaft, 0.3 to 0.9 s for other shapes, and up to 2 s
+/// among surroundings.
 #[derive(Describe)]
 #[describe(
     example = r#"

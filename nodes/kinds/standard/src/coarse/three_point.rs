@@ -10,9 +10,9 @@ use osteoflow_node::{
 
 /// The rigid motion that best carries located landmarks onto the planned ones.
 ///
-/// Points are paired by name. The report has residuals, side lengths and collinearity in mm. The residual at the points
-/// (FRE) does not predict the accuracy: a shift that all points share does not change it. A point of low confidence,
-/// such as a laser spot at the silhouette, is used only if its distances to the other points are as planned.
+/// Points are paired by name. The report has residuals, side lengths and collinearity in mm. The residual at the points (FRE)
+/// does not predict the accuracy: a shift that all points share does not change it. A point of low confidence, such as a laser
+/// spot at the silhouette, is used only if its distances to the others are as planned.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -27,17 +27,16 @@ pub struct ThreePoint;
 #[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 pub struct Params {
-    /// Maximum residual (RMS); beyond, the points are not the planned landmarks. 10 mm: landmarks that a ruler placed 10 mm
-    /// off still pass, a spot found on the wrong side of the scan does not.
+    /// Maximum residual (RMS) of the planned landmarks. 10: landmarks that a ruler placed 10 mm off pass, a spot on the wrong
+    /// side of the scan does not.
     #[param(10.0, 0.01..=1000.0)]
     pub max_fre_mm: f64,
     /// Points of less confidence are refused where a distance to another point disagrees with the plan. 0.4: the
-    /// `min_confidence` of the hole detectors, which a lost patch of a scan rarely reaches.
+    /// `min_confidence` of the hole detectors, which a lost patch rarely reaches.
     #[param(0.4, 0.0..=1.0)]
     pub min_confidence: f64,
-    /// Maximum difference between such a point's distances to the others and the planned ones. 3 mm: aiming errors of 0.6
-    /// and 0.7 mm across and along the bone change the worse of a point's two distances by 1.0 mm (median), 2.7 mm (99 %)
-    /// and 3.1 mm (largest of 2000).
+    /// Maximum difference of such a point's distances to the others from the plan. 3: aiming errors of 0.6 and 0.7 mm across
+    /// and along the bone change the worse of two distances by 1.0 mm (median), 2.7 mm (99 %) and 3.1 mm (largest of 2000).
     #[param(3.0, 0.0..=1000.0)]
     pub max_side_difference_mm: f64,
 }

@@ -7,8 +7,8 @@ use osteoflow_node::{Context, Describe, Node, NodeError, ParamError, schemars::J
 
 /// The points that the camera sees inside a polygon.
 ///
-/// The corners are directions from the camera: `x / z`, `y / z` in the camera's frame (x right, y down, z forward). A
-/// polygon drawn on the camera's image therefore applies at any depth.
+/// The corners are directions from the camera: `x / z`, `y / z` in its frame (x right, y down, z forward), so a polygon drawn
+/// on the camera's image applies at any depth.
 #[derive(Describe)]
 #[describe(
     example = r#"

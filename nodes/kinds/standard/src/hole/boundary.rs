@@ -7,11 +7,10 @@ use osteoflow_node::{Context, Describe, Inputs, NodeError, Unused, function};
 
 /// The landmark under a laser spot, found in that scan alone as a gap with points all around it.
 ///
-/// Needs no full scan, so the bone may have moved since then. The gap is searched in the camera's image and compared
-/// with the surface extrapolated from its surroundings. A spot at the silhouette is not surrounded by points and is
-/// refused. Another gap of the same size is mistaken for the spot, or makes a second candidate; a full scan would show
-/// which is the spot. Of 30 spots on two real bones, 23 were found within 0.9 mm (median 0.1 mm on a finely and 0.4 mm
-/// on a coarsely meshed one) and 7 refused.
+/// Needs no full scan, so the bone may have moved since then. The gap is searched in the camera's image and compared with the
+/// surface around it. A spot at the silhouette is refused. Another gap of this size is mistaken for the spot, or is a second
+/// candidate. Of 30 spots on two real bones, 23 were found within 0.9 mm (median 0.1 mm on a finely and 0.4 mm on a coarsely
+/// meshed one) and 7 refused.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -6,10 +6,9 @@ use osteoflow_node::{Context, Describe, NodeError, function};
 
 /// The landmark under a laser spot: the points of the full scan that the scan with the laser lacks.
 ///
-/// Both scans are in one frame. The main cluster of missing points is the hole; its centre is the landmark. If the scan
-/// with the laser has a viewpoint, points are compared as its camera sees them, so that the hole is also found on a
-/// slanted surface, where points are far apart. The hole must be large enough for ten points, or for six where the
-/// distances to the other landmarks confirm the spot.
+/// The centre of the main cluster of missing points is the landmark. If the scan with the laser has a viewpoint, points are
+/// compared as its camera sees them, so the hole is also found on a slanted surface. The hole must be large enough for ten
+/// points, or for six if the distances to the other landmarks confirm it.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -7,12 +7,11 @@ use osteoflow_node::{Context, Describe, Inputs, NodeError, function};
 
 /// The landmark under a laser spot, or under a mark of a surgical pen, found by its colour in an image of the scan.
 ///
-/// Needs a camera with colour, which the camera of the paper is not. The spot is searched among the pixels that show
-/// bone. Its centre is that of a circle through its rim on the scanned surface, because glare and saturation do not
-/// move the rim. The node fails, and says why, if there is no spot, if several look alike, if the silhouette cuts the
-/// spot off, if the image is black or saturated, or if it contradicts the scan, whose points are missing where the
-/// laser is. If the image of a pen's mark is mirrored or wrongly calibrated, this is not noticed: see
-/// docs/begin/frames-and-units.md.
+/// Needs a camera with colour, unlike the paper's. The spot is searched among the pixels that show bone. Its centre is that of
+/// a circle through its rim on the scanned surface, as glare and saturation do not move the rim. The node fails, and says why,
+/// if there is no spot, if several look alike, if the silhouette cuts it, if the image is black or saturated, or if it
+/// contradicts the scan, which lacks points where the laser is. A mirrored or wrongly calibrated image of a pen's mark is not
+/// noticed: see docs/begin/frames-and-units.md.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -33,10 +32,9 @@ pub struct In {
     /// A scan with the laser spot, labelled with the landmark's name, with the pose of its camera as viewpoint.
     #[port(frame = "reference")]
     cloud: Cloud,
-    /// The colour image taken with that scan: item by item, and at most 100 ms before or after it.
+    /// The colour image taken with that scan, at most 100 ms before or after it.
     image: Image,
-    /// The pose of the image's camera, where it is another than the scan's: from the frame of the image to `camera`. Where it is not
-    /// wired, the image has to be in frame `camera`.
+    /// The pose of the image's camera, if it is not the scan's. Unwired: the image has to be in frame `camera`.
     #[port(join = "once", to = "@camera", from = "image")]
     t_camera_image: Option<Pose>,
 }

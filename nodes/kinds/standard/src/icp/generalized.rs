@@ -4,10 +4,10 @@ use super::{In, Out};
 use osteoflow_algorithms::icp::{IcpParams, Method};
 use osteoflow_node::{Context, Describe, NodeError, function};
 
-/// Fine registration of a bone surface onto the CT surface by generalized ICP (GICP), plane to plane.
+/// Fine registration by generalized ICP (GICP), plane to plane.
 ///
-/// Minimises the Mahalanobis distances between planar Gaussians at both points. The scan's normals are estimated if the cloud
-/// has none, which takes longer than the registration itself.
+/// Minimises the Mahalanobis distances between planar Gaussians at both points. The scan's normals are estimated if it has
+/// none, which takes longer than the registration itself.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -4,10 +4,10 @@ use super::{In, Out};
 use osteoflow_algorithms::icp::{IcpParams, Method};
 use osteoflow_node::{Context, Describe, NodeError, function};
 
-/// Fine registration of a bone surface onto the CT surface by the closest points of its triangles.
+/// Fine registration by the closest points of the surface's triangles.
 ///
-/// Without the error of sampling the surface. The target must have been prepared from a mesh; finding the closest point of a
-/// mesh takes several times as long as that of samples.
+/// Without the error of sampling the surface. The target must have been prepared from a mesh. The search takes several times as
+/// long as that of samples.
 #[derive(Describe)]
 #[describe(
     example = r#"

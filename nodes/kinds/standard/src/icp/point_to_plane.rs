@@ -4,10 +4,10 @@ use super::{In, Out};
 use osteoflow_algorithms::icp::{IcpParams, Method};
 use osteoflow_node::{Context, Describe, NodeError, function};
 
-/// Fine registration of a bone surface onto the CT surface by point-to-plane ICP.
+/// Fine registration by point-to-plane ICP.
 ///
-/// Minimises the distances along the target's normals. Points may slide along the surface, so a start millimetres off along
-/// the bone takes a few more steps, not thousands.
+/// Minimises the distances along the target's normals. Points may slide along the surface, so a start millimetres off along the
+/// bone takes a few more steps, not thousands.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -4,11 +4,10 @@ use super::{In, Out};
 use osteoflow_algorithms::icp::{IcpParams, Method};
 use osteoflow_node::{Context, Describe, NodeError, function};
 
-/// Fine registration of a bone surface onto the CT surface by point-to-point ICP, as in the paper.
+/// Fine registration by point-to-point ICP, as in the paper.
 ///
 /// Minimises the distances to the nearest samples. These resist a motion along the bone: a plain step recovers about a
-/// thousandth of a slide. The report estimates the remaining distance; see `acceleration` and `stop_step_mm`. For the
-/// stop rules that the paper may have used, see `icp.published`.
+/// thousandth of a slide. The report estimates the remaining distance; see `acceleration` and `stop_step_mm`.
 #[derive(Describe)]
 #[describe(
     example = r#"

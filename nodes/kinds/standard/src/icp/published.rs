@@ -6,8 +6,8 @@ use osteoflow_node::{Context, Describe, NodeError, function};
 
 /// Fine registration by plain point-to-point ICP, under one of the stop rules that the paper may have used.
 ///
-/// The paper does not say when it stops. Each `reading` takes plain steps on all points, without weights, and stops by a rule
-/// of its own; the report's `left_mm` says how far from the minimum. `icp.point_to_point` minimises the same cost to the end.
+/// The paper does not say when it stops. Each `reading` takes plain steps on all points, without weights, and stops by its own
+/// rule; the report's `left_mm` says how far from the minimum. `icp.point_to_point` minimises the same cost to the end.
 #[derive(Describe)]
 #[describe(
     example = r#"

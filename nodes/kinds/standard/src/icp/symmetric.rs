@@ -4,10 +4,10 @@ use super::{In, Out};
 use osteoflow_algorithms::icp::{IcpParams, Method};
 use osteoflow_node::{Context, Describe, NodeError, function};
 
-/// Fine registration of a bone surface onto the CT surface by symmetric ICP.
+/// Fine registration by symmetric ICP.
 ///
 /// Minimises the distances along the mean of both points' normals, which is exact if the bone is round. The scan's normals are
-/// estimated if the cloud has none, which takes longer than the registration itself.
+/// estimated if it has none, which takes longer than the registration itself.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -10,9 +10,8 @@ use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 
 /// The true positions of P1, P2 and P3 as a surgeon marks them on the bone with a ruler, with the ruler's errors.
 ///
-/// P1 is off along the bone, because the malleolus is hard to find. P2 and P3 are measured from P1, so they share its error
-/// and add their own; P2 is also off across the bone, along the tangent of its face. Each mark is projected onto the surface.
-/// The marks are in the bone marker's frame, as the landmarks of the hole detectors are: `coarse.three_point` takes them with
+/// P1 is off along the bone. P2 and P3 are measured from P1, so they share its error and add their own; P2 is also off across
+/// the bone. The marks are in the bone marker's frame, as those of the hole detectors: `coarse.three_point` takes them with
 /// `in.source = { from = "ruled.points", n = 1 }`. Only a simulation knows the true registration that this needs.
 #[derive(Describe)]
 #[describe(

@@ -8,8 +8,8 @@ use osteoflow_node::{
 
 /// The true error of a calibration, and what it does to a point at the working distance.
 ///
-/// A point on the camera's axis at `working_distance_mm` moves by `|t_true * inverse(t) * p - p|`: 0.1 degree is 0.35 mm
-/// at 200 mm.
+/// A point on the camera's axis at `working_distance_mm` moves by `|t_true * inverse(t) * p - p|`: 0.1 degree is 0.35 mm at 200
+/// mm.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -25,7 +25,7 @@ pub struct Calibration;
 #[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 pub struct Params {
-    /// Distance of the bone from the camera. 200 mm: the paper's 200 +- 50 mm.
+    /// Distance of the bone from the camera. 200: the paper's 200 +- 50 mm.
     #[param(200.0, 1.0..=10_000.0)]
     pub working_distance_mm: f64,
 }

@@ -7,12 +7,11 @@ use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 
 /// The difference between the bone fragment of the executed cuts and the planned one.
 ///
-/// The two planned planes cut a closed fragment out of the bone, and so do the executed ones, which the registration's error
-/// displaces. The fragments are compared twice: in place, which shows the error of the cuts, and after the executed one
-/// was moved back by the inverse of the error, which leaves the error of the fragment's shape. That motion is not a
-/// best fit. Each comparison is by vertices, by distances to the other's surface, and by distances to the bone's own
-/// surface alone, in both directions. The error is the true one and, where assessment points were measured, the
-/// paper's: the motion that best carries the planned points to the measured ones, as registered.
+/// Two planes cut a closed fragment out of the bone: the planned ones, and the executed ones, which the registration's error
+/// displaces. The fragments are compared in place (the error of the cuts), and after the executed one was moved back by the
+/// inverse of the error (the error of its shape; no best fit). Each comparison is by vertices, by distances to the other's
+/// surface, and by distances to the bone's own surface alone, in both directions. The error is the true one and, with measured
+/// assessment points, the paper's: the motion that best carries the planned points to the measured ones, as registered.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -9,10 +9,10 @@ use osteoflow_payloads::Json;
 
 /// The error of the cuts against the planned ones, where the true registration is known.
 ///
-/// A planned plane is carried to the world by the registration and back to CT by the true one, or, with `truth`, where CT and
-/// plan may differ from the bone, by the motion from the plane that was meant to the planned one; a plane that was planned elsewhere
-/// when the truth was made is carried back by the true registration. Reported are offset, tilt
-/// and roll where it meets the bone, and the length of the segment between two planes.
+/// A planned plane is carried to the world by the registration and back to CT by the true one; or, with `truth`, if CT and plan
+/// may differ from the bone, by the motion from the plane that was meant to the planned one. A plane that was planned elsewhere
+/// when the truth was made is carried back by the true registration. Reported are offset, tilt and roll where it meets the
+/// bone, and the length of the segment between two planes.
 #[derive(Describe)]
 #[describe(
     example = r#"

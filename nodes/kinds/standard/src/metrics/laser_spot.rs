@@ -9,7 +9,7 @@ use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 /// The error of located laser spots against the true spots, and against the marks aimed at, in a simulation.
 ///
 /// Per spot, located minus true, signed, along the bone's axes. Located points are in the world, at the full scan:
-/// `transform.points` carries them there by `to_bone.t_world_bone_marker`.
+/// `transform.points` carries them there.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -26,10 +26,10 @@ pub struct Pose;
 #[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 pub struct Params {
-    /// A right pose is off by less at the centroid, mm. 4 mm: as published for bones of a hip.
+    /// A right pose is off by less at the centroid. 4: as published for bones of a hip.
     #[param(4.0, 1e-6..=1e6)]
     pub right_mm: f64,
-    /// A right pose is turned by less, degrees. 5 degrees: as published for bones of a hip.
+    /// A right pose is turned by less. 5: as published for bones of a hip.
     #[param(5.0, 1e-6..=180.0)]
     pub right_deg: f64,
 }

@@ -23,7 +23,7 @@ pub struct Surface;
 #[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 pub struct Params {
-    /// Points no farther from the surface than this are inliers. 1 mm: twenty times the camera's noise.
+    /// Points no farther from the surface than this are inliers. 1: twenty times the camera's noise.
     #[param(1.0, 1e-3..=1000.0)]
     pub max_pair_distance_mm: f64,
 }

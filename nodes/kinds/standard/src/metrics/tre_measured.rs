@@ -9,8 +9,8 @@ use osteoflow_payloads::Json;
 
 /// Target registration error at points touched with a stylus, which includes the stylus' own error.
 ///
-/// Per point `e = t_ct_bone_marker * p_measured - p_planned`, signed, along the bone's axes. A measurement counts for the place that
-/// it was made for: a point that was planned elsewhere then is left out, with a warning.
+/// Per point `e = t_ct_bone_marker * p_measured - p_planned`, signed, along the bone's axes. A point that was planned elsewhere
+/// when it was touched is left out, with a warning.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -9,8 +9,8 @@ use osteoflow_payloads::Json;
 
 /// Target registration error against the true registration, where it is known, as in a simulation.
 ///
-/// Per point `e = t_ct_world * inverse(t_ct_world_true) * p - p`, signed, along the bone's axes; with `truth`, where CT and
-/// plan may differ from the bone, `e = t_ct_world * truth - p`. A point that was planned elsewhere when the truth was made has its
+/// Per point `e = t_ct_world * inverse(t_ct_world_true) * p - p`, signed, along the bone's axes; with `truth`, if CT and plan
+/// may differ from the bone, `e = t_ct_world * truth - p`. A point that was planned elsewhere when the truth was made has its
 /// truth by the true registration.
 #[derive(Describe)]
 #[describe(

@@ -20,11 +20,11 @@ use osteoflow_node::{Context, Describe, Inputs, NodeError, Value, function, sche
 /// A registration as a folder that 3D Slicer and CloudCompare open beside the CT: LPS, mm, in the run's folder, named after the
 /// node.
 ///
-/// `bone.stl` (of a bone that is known by points only `bone.ply`), `landmarks.mrk.json` and `planes.mrk.json` are the CT's surface and
-/// the plan; `scan.vtk` (for 3D Slicer and ParaView, which colour it by the distance from the bone, mm, positive outside),
-/// `scan.ply` (for CloudCompare, with the distance as scalar field and its colours as on the page) and `scan_to_ct.tfm` the scan on the CT
-/// and the motion that takes it there. In both a column `on_bone` says which points belong to the bone. If the registration is refused or
-/// missing, these three are not written. Every file says that it is for research use only.
+/// `bone.stl` (`bone.ply` of a bone known by points only), `landmarks.mrk.json` and `planes.mrk.json` are the CT's surface and
+/// the plan. `scan.vtk` (for 3D Slicer and ParaView) and `scan.ply` (for CloudCompare) are the scan on the CT, coloured by the
+/// distance from the bone, mm, positive outside; a column `on_bone` says which points belong to it. `scan_to_ct.tfm` is the
+/// motion that takes the scan there. These three are not written if the registration is refused or missing. Every file says
+/// that it is for research use only.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "output.export"
@@ -36,7 +36,8 @@ pub struct Export;
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// Also write `scene.mrb`: all of it as one scene of 3D Slicer, the scan in its own frame under the motion onto the bone.
+    /// Whether `scene.mrb` is written, too: all of it as one scene of 3D Slicer, the scan in its own frame under the motion
+    /// onto the bone.
     pub scene: bool,
 }
 
@@ -61,8 +62,8 @@ pub struct In {
     /// The planned planes.
     #[port(join = "once", frame = "@ct")]
     planes: Option<Planes>,
-    /// How the registration ended. Points whose distance from the bone is among those of its inliers (`inliers_mm`) are 1 in the
-    /// column `on_bone`, the others 0. Unwired: there is no such column.
+    /// How the registration ended. Points whose distance from the bone is among those of its inliers (`inliers_mm`) have 1 in
+    /// the column `on_bone`, the others 0. Unwired: no such column.
     icp: Option<Value>,
     /// The verdict on the registration. Unwired: the scan is written whatever the verdict.
     verdict: Option<Verdict>,

@@ -5,8 +5,8 @@ use osteoflow_formats::picked_points::write_planes_mrk_json;
 use osteoflow_geometry::Planes as PlaneList;
 use osteoflow_node::{Context, Describe, Inputs, NodeError, function};
 
-/// Planes in `ct` as markups of 3D Slicer (`.mrk.json`, LPS) in the run's folder, named after the node; planes that are unknown
-/// are left out, with a warning.
+/// Planes in `ct` as markups of 3D Slicer (`.mrk.json`, LPS) in the run's folder, named after the node; unknown planes are left
+/// out, with a warning.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "output.planes"

@@ -24,7 +24,7 @@ pub struct Ply;
 pub struct In {
     /// A cloud; one file for each.
     cloud: Cloud,
-    /// The verdict on what is written. Unwired: it is written whatever the verdict; else a refused one is not.
+    /// The verdict on what is written: a refused one is not. Unwired: it is written in any case.
     verdict: Option<Verdict>,
 }
 

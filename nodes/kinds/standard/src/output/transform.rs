@@ -8,8 +8,8 @@ use osteoflow_node::{Context, Describe, Inputs, NodeError, function};
 
 /// Poses as ITK transforms (`.tfm`) in the run's folder, named after the node, for 3D Slicer.
 ///
-/// Slicer shows the motion from the pose's `from` to its `to`; the file holds the inverse, as Slicer's files do. Both frames are
-/// named in it. A pose that does not lead to `ct` is refused, since such files are LPS.
+/// Slicer shows the motion from the pose's `from` to its `to`; the file holds the inverse, as Slicer's files do, and names both
+/// frames. A pose that does not lead to `ct` is refused, since such files are LPS.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "output.transform"
@@ -22,7 +22,7 @@ pub struct Transform;
 pub struct In {
     /// A pose; one file for each.
     pose: Pose,
-    /// The verdict on what is written. Unwired: it is written whatever the verdict; else a refused one is not.
+    /// The verdict on what is written: a refused one is not. Unwired: it is written in any case.
     verdict: Option<Verdict>,
 }
 

@@ -6,8 +6,8 @@ use crate::moved::Moved;
 use osteoflow_formats::plan_file::read_plan;
 use osteoflow_node::{Context, Describe, FilePath, NodeError, params, schemars::JsonSchema, serde::Deserialize};
 
-/// A surgical plan from a file, in millimetres and the CT frame: JSON, or planes and points of 3D Slicer (`.mrb`, `.mrk.json`), as
-/// `osteoflow convert` makes a plan of them.
+/// A surgical plan from a file, in mm and the CT frame: JSON, or planes and points of 3D Slicer (`.mrb`, `.mrk.json`), as
+/// `osteoflow convert` reads them.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "plan.file"
@@ -22,14 +22,14 @@ pub struct Params {
     /// The plan.
     pub path: FilePath,
     /// Whether you have looked at plan and surface together and found that they belong to each other. The verdict then takes a
-    /// shift of all landmarks for aiming, as with a plan that is bound to its surface (its key `surface`), and says so.
+    /// shift of all landmarks for aiming, as with a plan that is bound to its surface, and says so.
     pub confirm: bool,
-    /// A plan that has what `path` lacks of axes, anatomy and poses of markers, which 3D Slicer does not draw. Default: `path` has all.
+    /// A plan with the axes, anatomy and poses of markers that `path` lacks, as 3D Slicer does not draw them. Default: `path`
+    /// has all.
     pub rest: Option<FilePath>,
-    /// The plan that the procedure was made for, if it is another one than `path`, as after a change on the page: assessment points
-    /// that are elsewhere now were not touched where they are planned, so their measurements are left out, and the truths of a
-    /// simulation are taken from its true registration; landmarks that are elsewhere now were located where they were planned then,
-    /// so the registration starts from those places. Default: the procedure was made for this plan.
+    /// The plan that the procedure was made for, if it was another one. Measurements of assessment points that have moved since
+    /// are left out, and their simulated truths are taken from the true registration. The registration starts from the
+    /// landmarks of that plan. Default: `path`.
     pub made_for: Option<FilePath>,
 }
 

@@ -8,7 +8,7 @@ use std::sync::Arc;
 /// A plan, port by port. A part that the plan lacks is an empty that says why.
 #[derive(Outputs)]
 pub struct Out {
-    /// The landmarks P1..P3 that initialise the registration: where the procedure located them.
+    /// The landmarks P1..P3 where the procedure located them: the start of the registration.
     #[port(frame = "@ct")]
     landmarks: Points,
     /// The assessment points M1..M5, which are not used to fit.
@@ -20,14 +20,15 @@ pub struct Out {
     /// The axes along which errors are resolved.
     #[port(frame = "@ct")]
     axes: Emit<Axes>,
-    /// `t_phantom_phantom_marker`, known from the phantom's CAD.
+    /// `t_phantom_phantom_marker` by the phantom's CAD.
     #[port(to = "@phantom", from = "@phantom_marker")]
     t_phantom_phantom_marker: Emit<Pose>,
     /// `t_camera_camera_marker` as designed, where the calibration starts.
     #[port(to = "@camera", from = "@camera_marker")]
     t_camera_camera_marker_nominal: Emit<Pose>,
-    /// What binds the plan to its surface, for `verdict.registration`: the plan's key `surface`, and `confirm`; and, with `made_for`,
-    /// what has moved since then, for `metrics.tre_measured`, `metrics.tre_true` and `metrics.cuts`, and where moved landmarks are planned now.
+    /// What binds the plan to its surface, for `verdict.registration`: the plan's key `surface`, and `confirm`. With `made_for`
+    /// also what has moved since, for `metrics.tre_measured`, `metrics.tre_true` and `metrics.cuts`, and where moved landmarks
+    /// are planned now.
     report: Json,
 }
 

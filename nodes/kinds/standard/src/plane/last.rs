@@ -7,11 +7,10 @@ use osteoflow_algorithms::{
 use osteoflow_geometry::{Plane, PlanePlace, Planes};
 use osteoflow_node::{Context, Describe, Emit, Inputs, NodeError, Outputs, function};
 
-/// The cutting planes at the end of the recording.
+/// The cutting planes at the end of the recording, for the verdict.
 ///
-/// For the verdict, which is given once. Empty if the planes were never known, for example because the bone has no
-/// marker. The motion of the planes is judged as that of a marker: after one that no hand makes they are unknown, although the marker is
-/// seen, since it may have slipped.
+/// Empty if the planes were never known, for example because the bone has no marker. The motion of the planes is judged as that
+/// of a marker: after one that no hand makes, the planes are unknown, since the marker may have slipped.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "plane.last"
@@ -30,8 +29,8 @@ pub struct In {
 /// Outputs of [`Last`].
 #[derive(Outputs)]
 pub struct Out {
-    /// The planes at the last sample; unknown, with the reason, if the marker was lost by then, two of its poses contradict each
-    /// other there, or it made a motion that no hand makes.
+    /// The planes at the last sample; unknown, with the reason, if the marker was lost by then, two of its poses contradict
+    /// each other there, or it made a motion that no hand makes.
     #[port(frame = "planes")]
     planes: Emit<Planes>,
     /// The last planes that are known, with their stamp.

@@ -9,8 +9,7 @@ use osteoflow_node::{
 
 /// A scan at a random pose, and the pose that takes it back: the start of a registration whose answer is known.
 ///
-/// The scan turns about its centroid by a random angle about a random axis, then moves by a random length in a random
-/// direction, both drawn from the run's seed.
+/// The scan turns about its centroid about a random axis, then moves in a random direction, drawn from the run's seed.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "pose.perturb"
@@ -24,14 +23,14 @@ pub struct Perturb;
 #[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 pub struct Params {
-    /// Largest angle, degrees; each up to it is as likely. 180: any, as where nothing is known of the start.
+    /// Largest angle; all up to it are equally likely. 180: nothing is known of the start.
     #[param(180.0, 0.0..=180.0)]
     pub max_turn_deg: f64,
-    /// Largest length of the shift, mm; each up to it is as likely. 500 mm: as published for bones in a tracker's view.
+    /// Largest length of the shift; all up to it are equally likely. 500: as published for bones in a tracker's view.
     #[param(500.0, 0.0..=1e6)]
     pub max_shift_mm: f64,
-    /// A file with the true pose of the scan, a matrix of 16 numbers that takes it to the surface, mm. Unset: both files are in one
-    /// frame.
+    /// A file with the true pose of the scan, a matrix of 16 numbers that takes it to the surface, mm. Unset: both files are in
+    /// one frame.
     pub truth: Option<FilePath>,
     /// The frame of the surface, which the pose leads to. `ct`: that of a bone.
     #[param("ct")]

@@ -9,11 +9,11 @@ use osteoflow_node::{
 
 /// The best place of a registered scan along the bone and around it, and how well the residuals determine it.
 ///
-/// A shaft is nearly a cylinder, so an ICP may end at a place that is displaced along the shaft and turned about it.
-/// This looks for the minima of the point-to-plane residual within `along_mm` and `around_deg` of `init`, registers the
-/// scan at the best with all points, and reports the profile of the residual along the bone and around it, with the
-/// other five motions fitted at each place. If the residuals do not determine one of the two motions, the scan keeps
-/// the place of `init` along it, and a warning says so. About half a second of one core.
+/// A shaft is nearly a cylinder, so an ICP may end displaced along it and turned about it. This finds the minima of the
+/// point-to-plane residual within `along_mm` and `around_deg` of `init`, registers the scan at the best with all points, and
+/// reports the profiles along and around the bone, with the other five motions fitted at each place. A motion that the
+/// residuals do not determine stays as in `init`, with a warning. About half a second of one core. docs/method/sliding.md has
+/// the method.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -30,10 +30,10 @@ pub struct Slide;
 pub struct Params {
     /// How far along the bone, how far around it, and what is undetermined.
     pub profile: SlideParams,
-    /// Warns if it moved the scan along the bone by more, mm. 1.5: more than what point-to-point leaves of a sound start.
+    /// Warns if it moved the scan along the bone by more. 1.5: more than what point-to-point leaves of a sound start.
     #[param(1.5, 0.0..=200.0)]
     pub warn_mm: f64,
-    /// Warns if it turned the scan about the bone by more, degrees. 2.
+    /// Warns if it turned the scan about the bone by more. 2.
     #[param(2.0, 0.0..=180.0)]
     pub warn_deg: f64,
 }

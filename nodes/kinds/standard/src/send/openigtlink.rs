@@ -25,11 +25,9 @@ use std::time::Duration;
 
 /// The registration, the planes, the laser points and the stylus tip over OpenIGTLink, for 3D Slicer and SlicerIGT.
 ///
-/// Planes and registration are sent only while the verdict is trusted; otherwise a STATUS says why not. Unknown planes
-/// are not sent, and a STATUS says so; it also says if no new planes come for `stale_after_s`, because a receiver goes
-/// on showing the last ones. Coordinates in `ct` are turned from LPS to RAS, as 3D Slicer expects, and their frame is
-/// called `Ras`; other frames are sent as they are. A run without a folder, such as a replay, sends nothing.
-/// docs/use/openigtlink.md lists the devices.
+/// Planes and registration are sent only while the verdict is trusted, and unknown planes never; a STATUS says why. Coordinates
+/// in `ct` are turned to RAS, and their frame is called `Ras`; other frames are sent as they are. A run without a folder, such
+/// as a replay, sends nothing. docs/use/openigtlink.md lists the devices and states.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "send.openigtlink"
@@ -61,20 +59,20 @@ pub struct Params {
     /// Where receivers connect, or the receiver. 127.0.0.1:18945: beside the port of a PLUS server.
     #[param("127.0.0.1:18945")]
     pub address: String,
-    /// `server` listens for receivers; `client` connects to one, and again when it is lost. server: 3D Slicer is a client, and there
-    /// may be several.
+    /// `server` listens for receivers; `client` connects to one, and again when it is lost. `server`: 3D Slicer is a client,
+    /// and there may be several.
     #[param(Role::Server)]
     pub role: Role,
-    /// Largest rate of planes and tip, by their stamps. 20: a tracker's, and what a screen shows.
+    /// Largest rate of planes and tip, by their stamps. 20: a tracker's, and enough for a screen.
     #[param(20.0, 0.1..=1000.0)]
     pub rate_hz: f64,
-    /// Whether planes and registration of a doubtful verdict are sent too. false: a STATUS says why not. Those of a refused one are
-    /// never sent.
+    /// Whether planes and registration of a doubtful verdict are sent, too. false: a STATUS says why not. Those of a refused
+    /// one never are.
     pub send_doubtful: bool,
-    /// Edge of the square that shows each plane as a POLYDATA. 60 mm: wider than a fibula; 0: transforms alone.
+    /// Edge of the square that shows each plane as a POLYDATA. 60: wider than a fibula; 0: transforms alone.
     #[param(60.0, 0.0..=1000.0)]
     pub plane_size_mm: f64,
-    /// Time of this machine without new planes after which a STATUS calls those shown old. 1 s: twenty samples of a tracker.
+    /// Time of this machine without new planes after which a STATUS calls those shown old. 1: twenty samples of a tracker.
     #[param(1.0, 0.1..=3600.0)]
     pub stale_after_s: f64,
 }

@@ -22,9 +22,9 @@ use std::{path::PathBuf, sync::Arc};
 
 /// A bone from a file that holds a surface, points of a surface, or a CT.
 ///
-/// A surface is STL, PLY, OBJ, OFF or VTK; points are PLY, PCD, VTK or text; a CT is NIfTI, NRRD, MetaImage or the folder of a DICOM series,
-/// from which the surface is taken as by `surface.ct`. The format is recognised by the content. One of `mesh` and `points` has an
-/// item; `surface.prepare_any` takes either.
+/// A surface is STL, PLY, OBJ, OFF or VTK; points are PLY, PCD, VTK or text; a CT is NIfTI, NRRD, MetaImage or DICOM, from
+/// which the surface is taken as by `surface.ct`. The content decides. One of `mesh` and `points` has an item;
+/// `surface.prepare_any` takes either.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -50,9 +50,8 @@ pub struct File;
 ///
 /// As `surface.any`, but other files are refused, and so is a CT without `threshold_hu`.
 ///
-/// The surface lies where linear interpolation between voxels meets the threshold. It is not smoothed, and spaces
-/// inside the bone are not part of it. Where the border of the volume cuts through the bone, the surface stays open,
-/// because the bone has no face there. Coordinates are LPS, as in the file.
+/// The surface lies where linear interpolation between voxels meets the threshold. It is not smoothed, and spaces inside the
+/// bone are not part of it. It stays open where the border of the volume cuts the bone. Coordinates are LPS, as in the file.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -68,32 +67,32 @@ pub struct Ct;
 #[params(path)]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 pub struct Params {
-    /// The file: of a CT .nii, .nii.gz, .nrrd, .nhdr, .mha, .mhd or an enhanced DICOM file, or the folder of a DICOM series.
+    /// The file; of a CT .nii, .nii.gz, .nrrd, .nhdr, .mha, .mhd or an enhanced DICOM file, or the folder of a DICOM series.
     pub path: FilePath,
     /// The frame of its coordinates. `ct`: the plan's.
     #[param("ct")]
     pub frame: String,
-    /// Millimetres in the unit of a surface or of points. 1: files of bones are in millimetres; 1000 for a file in metres. A CT
-    /// states its unit.
+    /// Millimetres in the unit of a surface or of points; a CT states its unit. 1: files of bones are in millimetres; 1000:
+    /// metres.
     #[param(1.0, 1e-6..=1e6)]
     pub unit_mm: f64,
-    /// The axes of the numbers of a surface or of points, where the file does not state them; RAS is turned to LPS. Unset: in
-    /// frame `ct` they are taken for LPS, as 3D Slicer takes them, with a warning.
+    /// The axes of a surface or of points whose file does not state them; RAS is turned to LPS. Unset: LPS in frame `ct`, as in
+    /// 3D Slicer, with a warning.
     pub space: Option<SpaceName>,
-    /// Bone is above this in a CT, HU; in the file's own values if they are not HU. Unset: half-way between soft tissue and bone in
-    /// the volume, which the verdict names among its assumptions. `surface.ct`, and values that are not HU, are refused without it, with
-    /// a suggestion, as the threshold moves the surface.
+    /// Bone is above this in a CT; in the file's own values if they are not HU. Unset: half-way between soft tissue and bone in
+    /// the volume, which the verdict names among its assumptions. `surface.ct`, and values that are not HU, are refused without
+    /// it, with a suggestion, as the threshold moves the surface.
     pub threshold_hu: Option<f64>,
-    /// Which DICOM series of the folder: its number, or the ending of its identifier, with `#2` behind it for the second stack of a
-    /// series with several. Unset: the only one that may be a CT; localizers and pages in colours are left out by name.
+    /// Which DICOM series of the folder: its number, or the ending of its identifier, with `#2` for the second stack of a
+    /// series. Unset: the only one that may be a CT; localizers and coloured pages are left out by name.
     pub series: Option<String>,
-    /// Which connected part is the bone: `"largest"`, its number by size, such as `"2"`, or `"nearest:X,Y,Z"`, the part nearest to a
-    /// point, mm; `osteoflow info` lists them. Of points a part is a cluster: gaps in it are at most five times the median distance
-    /// to the nearest other point. Unset: of a CT the largest above the threshold, else all of them.
+    /// Which connected part is the bone: `"largest"`, its number by size, such as `"2"`, or `"nearest:X,Y,Z"`, the part nearest
+    /// to a point, mm; `osteoflow info` lists them. In a cluster of points, gaps are at most five times the median distance to
+    /// the nearest other point. Unset: of a CT the largest above the threshold, else all.
     pub component: Option<String>,
-    /// A point in the bone's cortex, LPS, which chooses the part of a CT instead of `component`.
+    /// A point in the bone's cortex, LPS, which chooses the part of a CT, instead of `component`.
     pub seed_mm: Option<[f64; 3]>,
-    /// Whether spaces enclosed by the bone in a CT count as bone. Unset: they do, since a camera sees only the outside.
+    /// Whether spaces enclosed by the bone in a CT count as bone. Unset: yes, as a camera sees only the outside.
     pub fill_cavities: Option<bool>,
 }
 
@@ -148,8 +147,8 @@ pub struct Out {
     /// The points, once; empty if the file holds a surface or a CT.
     #[port(frame = "$frame")]
     points: Emit<Cloud>,
-    /// What the file holds: `holds` (`surface`, `points` or `ct`), the `space` of its coordinates, and the `assumptions` that a
-    /// registration onto it makes, and the `sha256` of a file, by which a plan may be bound to it; of a CT also what `surface.ct` reports.
+    /// What the file holds: `holds` (`surface`, `points` or `ct`), the `space` of its coordinates, the `assumptions` of a
+    /// registration onto it, and its `sha256`, by which a plan may be bound to it; of a CT also what `surface.ct` reports.
     report: Json,
 }
 
@@ -159,8 +158,8 @@ pub struct MeshOut {
     /// The surface, once.
     #[port(frame = "$frame")]
     pub(super) mesh: Mesh,
-    /// By what a plan may be bound to it: `sha256` of a single file, `frame_of_reference_uid` of a DICOM series; of a CT also the volume,
-    /// the components, and how far the surface moves with the threshold.
+    /// What a plan may be bound by: `sha256` of a single file, `frame_of_reference_uid` of a DICOM series; of a CT also the
+    /// volume, the components, and how far the surface moves with the threshold.
     pub(super) report: Json,
 }
 

@@ -16,7 +16,7 @@ use osteoflow_payloads::Text;
 
 /// A surface prepared for registration: points sampled uniformly by area, their normals, a search grid, and the surface itself.
 ///
-/// Prepared once and shared by all registrations onto it. Sampling is seeded by the run.
+/// Prepared once for all registrations onto it. The sampling is seeded by the run.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "surface.prepare"
@@ -34,11 +34,10 @@ const MAX_POINTS: usize = 10_000_000;
 #[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 pub struct Params {
-    /// Number of points. 150000: one in 0.3 mm on a whole fibula, as dense as a structured-light scan.
+    /// Number of points. 150000: one per 0.3 mm on a whole fibula, as dense as a structured-light scan.
     #[param(150_000, MIN_POINTS..=MAX_POINTS)]
     pub n_points: usize,
-    /// Spacing of the points, mm: one for each square of this edge, whatever the surface's size, instead of `n_points`.
-    /// 0: `n_points` decides.
+    /// One point for each square of this edge, instead of `n_points`. 0: `n_points` decides.
     #[param(0.0, 0.0..=100.0)]
     pub spacing_mm: f64,
     /// What the scan is measured with: the surface is moved to where its tip touches, and the verdict expects its errors. Without it the
@@ -107,9 +106,9 @@ impl Prepare {
 
 /// The points of a surface without faces, prepared for registration; normals are estimated where missing.
 ///
-/// Estimated normals point outwards if the surface is closed. On an open surface all of them point to the same side,
-/// but which side is a guess. This does not change distances along them. But a source with a viewpoint is paired only
-/// with the side that faces it; for such a source give the cloud normals by `cloud.normals`.
+/// Estimated normals point outwards if the surface is closed. On an open surface all point to one side, which is a guess. This
+/// does not change distances along them, but a source with a viewpoint is paired only with the side that faces it: for such a
+/// source give the cloud normals by `cloud.normals`.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -174,8 +173,7 @@ fn prepare_points(points: &Cloud, sensor: Option<Sensor>) -> Result<Target, Node
 
 /// A surface, or points of it, prepared for registration.
 ///
-/// A surface is prepared as by `surface.prepare`, which has the same parameters. Points are prepared as by
-/// `surface.prepare_cloud`: all of them are used, and missing normals are estimated.
+/// A surface is prepared as by `surface.prepare`, points as by `surface.prepare_cloud`, which uses all of them.
 #[derive(Describe)]
 #[describe(
     example = r#"

@@ -13,9 +13,8 @@ use osteoflow_node::{
 
 /// The start for the registration of each scan of a stream: the pose of the previous scan; for the first scan, `start`.
 ///
-/// A pose is lost if it was not computed, or if its `report` breaks a limit. The next scan then starts from the last
-/// pose that was not lost, or from `start` if there is none, and a warning says so. The output is a start for a
-/// registration, never a result.
+/// A pose is lost if it was not computed, or if its `report` breaks a limit. The next scan then starts, with a warning, from
+/// the last pose that was not lost, or from `start`. The output is a start for a registration, never a result.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "track.last_pose"
@@ -31,8 +30,8 @@ pub struct LastPose {
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// What a scan starts from after one that was lost. `last_good`: the bone is nearer to where it was last seen than to where
-    /// the track began.
+    /// What a scan starts from after a lost one. `last_good`: the bone is nearer to where it was last seen than to the start of
+    /// the track.
     pub when_lost: WhenLost,
     /// When a registration counts as lost; needs `report`.
     pub limits: TrackLimits,

@@ -13,12 +13,11 @@ use serde::Deserialize;
 #[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 pub struct TrackingParams {
-    /// Marker motion before a scan above which it is reported, if the tracker's noise does not explain it. 0.1 mm: half the
-    /// point spacing of a scan.
+    /// Marker motion before a scan above which it is reported, unless the tracker's noise explains it. 0.1: half the point
+    /// spacing of a scan.
     #[param(0.1, 0.0..=100.0)]
     pub flag_motion_above_mm: f64,
-    /// Marker rotation before a scan above which it is reported, if the tracker's noise does not explain it. 0.03 degrees:
-    /// moves a point at 200 mm by 0.1 mm.
+    /// Marker rotation before a scan above which it is reported, likewise. 0.03: moves a point at 200 mm by 0.1 mm.
     #[param(0.03, 0.0..=90.0)]
     pub flag_motion_above_deg: f64,
 }

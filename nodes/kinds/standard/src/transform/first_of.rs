@@ -5,9 +5,9 @@ use osteoflow_node::{
     Context, Describe, Inputs, NodeError, Outputs, function, params, schemars::JsonSchema, serde::Deserialize,
 };
 
-/// The first of two poses that has a value, such as that of the recording, or else that of the plan.
+/// The first of two poses that has a value, such as that of the recording, or else of the plan.
 ///
-/// If both have a value and they differ, one of them is wrong, and the node fails.
+/// If both have one and they differ, one is wrong, and the node fails.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "transform.first_of"
@@ -19,10 +19,10 @@ pub struct FirstOf;
 #[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 pub struct Params {
-    /// Maximum distance between the origins of both poses, mm. 0.5: rounding of files and units, far below any mistake.
+    /// Maximum distance between the origins of both poses. 0.5: rounding of files and units, far below a mistake.
     #[param(0.5, 0.0..=1000.0)]
     pub max_apart_mm: f64,
-    /// Maximum angle between both poses, degrees. 0.2: as much.
+    /// Maximum angle between both poses. 0.2: as much.
     #[param(0.2, 0.0..=180.0)]
     pub max_apart_deg: f64,
 }

@@ -6,10 +6,9 @@ use osteoflow_node::{Context, Describe, Inputs, NodeError, Outputs, function};
 
 /// How the markers moved around the time of a scan: before it, as `transform.to_bone_marker` gives it, and after it.
 ///
-/// If a tracker's poses are late, the motion during a scan is seen only after the scan's stamp. The motion is that of
-/// the window of `transform.still_average` that ends 500 ms after the stamp, or with the last sample before that: the
-/// node waits until the stamps have reached that time, and uses what has come by then. `after_ms` of an input sets
-/// another time. In a live run only the verdict waits for it.
+/// If a tracker's poses are late, the motion during a scan shows only after the scan's stamp. The window of
+/// `transform.still_average` ends 500 ms after the stamp, or with the last sample before that: the node waits until the stamps
+/// have reached that time. `after_ms` of an input sets another time. In a live run only the verdict waits for it.
 #[derive(Describe)]
 #[describe(example = r#"
 kind = "transform.motion_after"

@@ -18,9 +18,8 @@ const N_STAMPS: usize = 200;
 
 /// A tracked pose, averaged over the time for which the marker has not moved.
 ///
-/// One answer for each sample: the mean of the window before it. If the marker moved within the window, the older half
-/// of the window is dropped, again and again, until the marker did not move in the rest. So the average does not lag
-/// behind a moving marker.
+/// One answer for each sample: the mean of the window before it. While the marker moved within the window, its older half is
+/// dropped, so the average does not lag behind a moving marker.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -42,18 +41,17 @@ pub struct StillAverage {
 #[params]
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 pub struct Params {
-    /// Length of the window. 500 ms: ten samples at 20 Hz, which leaves a third of the tracker's noise.
+    /// Length of the window. 500: ten samples at 20 Hz, which leaves a third of the tracker's noise.
     #[param(500.0, 0.0..=60_000.0)]
     pub window_ms: f64,
-    /// Maximum distance between the means of the window's halves for a marker at rest, unless its noise in the time before explains
-    /// more. 0.1 mm: three times an optical tracker's noise.
+    /// Maximum distance between the means of the window's halves for a marker at rest, unless its noise before explains more.
+    /// 0.1: three times an optical tracker's noise.
     #[param(0.1, 0.0..=100.0)]
     pub still_mm: f64,
-    /// Maximum rotation between the means of the window's halves for a marker at rest, unless its noise in the time before explains
-    /// more. 0.05 degrees: five times an optical tracker's noise.
+    /// Maximum rotation between these means, likewise. 0.05: five times an optical tracker's noise.
     #[param(0.05, 0.0..=90.0)]
     pub still_deg: f64,
-    /// Length of the path, s. 6: a slow sweep by hand, of 3 s before its stamp or after it.
+    /// Length of the path. 6: a slow sweep by hand, 3 s before its stamp or after it.
     #[param(6.0, 0.0..=60.0)]
     pub path_s: f64,
 }

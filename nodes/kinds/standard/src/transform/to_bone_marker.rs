@@ -9,10 +9,10 @@ use osteoflow_payloads::Flag;
 
 /// A cloud in the frame of the marker on the bone, where clouds of different times coincide.
 ///
-/// The bone may move between scans; in its marker's frame it does not. The marker's pose is interpolated at the cloud's
-/// stamp. A marker that moved before the scan by more than the tracker's noise explains is reported, since it smears the
-/// cloud. If `tracked` is false, the cloud stays in the world, and the bone must not move between scans. Points whose times
-/// `transform.to_world` has read are each carried by the marker's pose at their own time, if `path` is wired.
+/// The marker's pose is that at the cloud's stamp. A marker that moved before the scan by more than the tracker's noise
+/// explains is reported, since it smears the cloud. If `tracked` is false, the cloud stays in the world, and the bone must not
+/// move between scans. Points whose times `transform.to_world` has read are each carried by the marker's pose at their own
+/// time, if `path` is wired.
 #[derive(Describe)]
 #[describe(
     example = r#"

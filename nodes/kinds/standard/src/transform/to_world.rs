@@ -10,14 +10,13 @@ use osteoflow_node::{
 
 /// The camera's cloud in the tracker's world.
 ///
-/// `cloud_world = t_world_camera_marker * inverse(t_camera_camera_marker) * cloud_camera`. The camera marker's pose is
-/// interpolated at the cloud's stamp; if the tracker did not see the marker for longer than `max_gap_ms` around it (500: a hand that passes),
-/// there is no result, because an old pose is never used. A marker that moved before the scan by more than the
-/// tracker's noise explains is reported.
+/// `cloud_world = t_world_camera_marker * inverse(t_camera_camera_marker) * cloud_camera`, with the camera marker's pose at the
+/// cloud's stamp. There is no result if the tracker did not see the marker for longer than `max_gap_ms` around it (500: a hand
+/// that passes). A marker that moved before the scan by more than the tracker's noise explains is reported.
 ///
-/// A scan takes time. If its points have times (a column `t`, `time`, `timestamp`, `offset_time` .. of the cloud) and `path` is wired, each
-/// point is carried by the marker's pose at its own time. Else all are carried by one pose, and what the marker moved while the scan was
-/// taken shears it: the verdict has its effect.
+/// If points have times (a column `t`, `time`, `timestamp`, `offset_time` .. of the cloud) and `path` is wired, each point is
+/// carried by the marker's pose at its own time. Else the marker's motion during the scan shears it: the verdict has its
+/// effect.
 #[derive(Describe)]
 #[describe(
     example = r#"
@@ -35,13 +34,14 @@ pub struct Params {
     /// The motion that is reported.
     #[serde(flatten)]
     pub tracking: TrackingParams,
-    /// Time from the first point of a scan to the last, s, where its points have no times. None: it is not known; `rules.assumed_scan_s` of
-    /// the verdict. Usual values: structured light 0.1 to 1, a line that is swept by hand 1 to 5.
+    /// Time from the first point of a scan to the last, if its points have no times. None: not known, `rules.assumed_scan_s` of
+    /// the verdict. Usual: structured light 0.1 to 1, a line swept by hand 1 to 5.
     #[schemars(range(min = 0.0, max = 60.0))]
     pub duration_s: Option<f64>,
-    /// Which part of that time the stamp of a scan is. None: it is not known, so that the worst is assumed.
+    /// Which part of that time the stamp is. None: not known, the worst is assumed.
     pub stamp_at: Option<StampAt>,
-    /// The unit of the times of points. `auto`: as the column's name says (`t_ns`), or else the largest in which a scan takes at most 30 s.
+    /// Unit of the times of points. `auto`: by the column's name (`t_ns`), or else the largest in which a scan takes at most 30
+    /// s.
     pub point_times: PointTimeUnit,
 }
 

@@ -55,17 +55,16 @@ pub struct Params {
     pub rules: RuleParams,
     /// Stated errors of the devices, for the predicted error.
     pub errors: PredictParams,
-    /// Whether the landmarks lie on the surface. false: they are fiducials, such as screws, rings or skin markers, whose stated error is
-    /// `rules.landmarks.fiducial_mm`, and their distance from the surface is no sign.
+    /// Whether the landmarks lie on the surface. false: they are fiducials, such as screws, rings or skin markers, with the
+    /// error `rules.landmarks.fiducial_mm`; their distance from the surface is no sign.
     #[param(true)]
     pub on_surface: bool,
-    /// Whether the assessment points lie on the surface. false: they are targets, such as a tumour or screws, whose distance from the surface
-    /// is no sign.
+    /// Whether the assessment points lie on the surface. false: they are targets, such as a tumour or screws; their distance
+    /// from the surface is no sign.
     #[param(true)]
     pub assessment_on_surface: bool,
-    /// Largest distance of a planned plane's origin from the surface; beyond it a warning says that plan and bone
-    /// probably do not belong together. 50 mm: the middle of a cut is inside the bone, and the widest, at the knee, is
-    /// 90 mm wide.
+    /// Largest distance of a planned plane's origin from the surface; beyond it a warning says that plan and bone probably do
+    /// not belong together. 50: the middle of a cut is inside the bone, and the widest, at the knee, is 90 mm wide.
     #[param(50.0, 0.0..=10_000.0)]
     pub max_plane_distance_mm: f64,
 }
@@ -100,19 +99,17 @@ pub struct In {
     /// The registration.
     #[port(to = "target", from = "source")]
     t_target_source: Pose,
-    /// The report of the registration, of any kind: its `converged`, `remaining_mm` and `stop_reason` are used where it has
-    /// them.
+    /// The report of the registration, of any kind: its `converged`, `remaining_mm` and `stop_reason` are used if it has them.
     icp: Option<Value>,
-    /// The report of the CT surface: each text in its list `assumptions` becomes one of the verdict, and its `sha256` or
+    /// The report of the CT surface: each text of its `assumptions` becomes one of the verdict, and its `sha256` or
     /// `frame_of_reference_uid` is compared with the plan's.
     #[port(join = "once")]
     surface: Option<Json>,
-    /// The report of the registration by shape alone, if the ICP started from one: if that was unclear, the answer is
-    /// doubtful.
+    /// The report of a registration by shape alone that the ICP started from: if that was unclear, the answer is doubtful.
     start: Option<GlobalReport>,
     /// The slide profile about the registration.
     slide: Option<SlideReport>,
-    /// The report of the plan: whether it is bound to this surface. If it is not, landmarks that are all off the same way make the
+    /// The report of the plan. If it does not bind the plan to this surface, landmarks that are all off the same way make the
     /// answer doubtful.
     #[port(join = "once")]
     plan: Option<Json>,
@@ -132,11 +129,11 @@ pub struct In {
     /// The planned cuts: the error is predicted in the middle of the bone.
     #[port(join = "once", frame = "target")]
     planes: Option<Planes>,
-    /// The cuts at the end of the recording: if they are unknown, the answer is doubtful. The verdict waits until they
-    /// come or the wire ends.
+    /// The cuts at the end of the recording; the verdict waits for them or the wire's end. If they are unknown, the answer is
+    /// doubtful.
     #[port(join = "once")]
     followed: Option<Planes>,
-    /// The last of them that are known, for the output `planes`. Unwired: those of `followed`.
+    /// The last known ones, for the output `planes`. Unwired: those of `followed`.
     #[port(join = "once")]
     known: Option<Planes>,
     /// The report of the calibration.
@@ -148,11 +145,11 @@ pub struct In {
     /// Where the camera saw the phantom's marker.
     #[port(join = "once")]
     t_camera_phantom_marker: Option<Pose>,
-    /// The error measured with a stylus. The verdict waits until it comes or the wire ends.
+    /// The error measured with a stylus; the verdict waits for it or the wire's end.
     #[port(join = "once")]
     measured: Option<TreReport>,
-    /// Readings of a check piece, those after the scan too: all until the wire ends. One at the scan or later shows whether the
-    /// camera's marker still sits as calibrated.
+    /// Readings of a check piece, all until the wire ends. One at the scan or later shows whether the camera's marker still
+    /// sits as calibrated.
     #[port(join = "collect")]
     check: Vec<Option<CheckReport>>,
     /// How the markers moved while the scan was taken, from `transform.to_bone_marker`.
@@ -160,8 +157,8 @@ pub struct In {
     /// How the markers moved while the landmarks were located.
     #[port(join = "collect", n = 3)]
     located_motion: Vec<Option<TakeMotion>>,
-    /// How the markers moved while the stylus touched the points of `measured`, from `transform.points_to_bone_marker`:
-    /// all until the wire ends.
+    /// How the markers moved while the stylus touched the points of `measured`, from `transform.points_to_bone_marker`, all
+    /// until the wire ends.
     #[port(join = "collect")]
     touched_motion: Vec<Option<TakeMotion>>,
 }

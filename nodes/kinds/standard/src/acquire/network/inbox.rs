@@ -21,22 +21,23 @@ const N_WARNINGS: usize = 10;
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct StreamParams {
-    /// Names of clouds and points: one for each of several devices or topics, or, with one, one for each message in order. Default:
-    /// the names in the message, else the device's name or the last part of the topic's.
+    /// Names of clouds and points: one for each of several devices; with one, one for each message in order. Default: the names
+    /// in the message, else the device's.
     pub labels: Vec<String>,
     /// Time of the sender without the tool, while other messages come, after which a pose is lost and the port gives an empty.
     /// Unset: never.
     #[schemars(range(min = 1.0, max = 3_600_000.0))]
     pub lost_after_ms: Option<f64>,
-    /// Time for which poses may be the same to the last bit while their stamps go on; from then on the tracker is frozen, and the
-    /// port gives empties that say why until the pose changes. Unset: 2000, forty samples of a slow tracker: at rest one
-    /// that rounds to 0.1 mm repeats a pose for up to 0.85 s. 0: never, for a constant that is sent again and again.
+    /// Time for which poses may be the same to the last bit while their stamps go on. Beyond it the tracker is frozen, and the
+    /// port gives empties that say why until the pose changes. Unset: 2000, forty samples of a slow tracker: at rest one that
+    /// rounds to 0.1 mm repeats a pose for up to 0.85 s. 0: never, for a constant.
     #[schemars(range(min = 0.0, max = 3_600_000.0))]
     pub frozen_after_ms: Option<f64>,
     /// How a marker moves at most: poses that contradict it, or those before them, are left out and counted. Where nothing is given for
     /// 100 ms, the port gives an empty that says why.
     pub motion: MotionLimits,
-    /// What a `report/Flag` gives with the first item of another port, if no message gave it a value before. Unset: it waits for one.
+    /// The value of a `report/Flag` with the first item of another port, if no message gave one before. Unset: it waits for
+    /// one.
     pub default: Option<bool>,
 }
 

@@ -29,30 +29,29 @@ const SMALLEST_CLOUD_MM: f64 = 2.0;
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PortParams {
-    /// The device that the port reads. Default for a pose: its frames as PLUS writes them, `CameraMarkerToWorld`.
+    /// Its device. Default for a pose: its frames as PLUS writes them, `CameraMarkerToWorld`.
     pub device: Option<String>,
     /// Several devices, merged in the order of arrival.
     pub devices: Vec<String>,
-    /// The axes of coordinates in the frame `ct`, which are LPS in a graph: `lps` or `ras`. 3D Slicer sends RAS. Required where a
-    /// frame is `ct`, refused elsewhere.
+    /// The axes of coordinates in the frame `ct`: `lps`, as in a graph, or `ras`, as 3D Slicer sends. Required if a frame is
+    /// `ct`, refused elsewhere.
     pub space: Option<PatientSpace>,
-    /// Whether a pose that is exactly the identity means that the tool is lost, as some trackers send it. Unset: it does; a
-    /// constant of a configuration may need false.
+    /// Whether a pose that is exactly the identity means that the tool is lost, as some trackers send it. Unset: yes; a
+    /// constant may need false.
     pub identity_is_lost: Option<bool>,
-    /// The camera of a depth image or a picture, which PLUS does not send: fx, fy, cx, cy, px; the centre of the top left pixel is
-    /// (0, 0). Not for a point image.
+    /// The camera of a depth image or a picture, which PLUS does not send: fx, fy, cx, cy, px; (0, 0) is the centre of the top
+    /// left pixel. Not for a point image.
     pub intrinsics: Vec<f64>,
-    /// The distortion of that camera, which is undone: its coefficients in OpenCV's order. Empty: none.
+    /// Coefficients of that camera's distortion, in OpenCV's order; it is undone. Empty: none.
     pub distortion: Vec<f64>,
-    /// The model of these coefficients: `plumb_bob` (k1, k2, p1, p2, k3), `rational_polynomial` (and k4, k5, k6), `equidistant` (a
-    /// fisheye: k1, k2, k3, k4). Unset: `plumb_bob`.
+    /// Their model: `plumb_bob` (k1, k2, p1, p2, k3), `rational_polynomial` (and k4, k5, k6), `equidistant` (a fisheye: k1, k2,
+    /// k3, k4). Unset: `plumb_bob`.
     pub distortion_model: Option<String>,
-    /// The depth of one step of a depth image, mm: 0.1 for Revopoint, 1 for Kinect and RealSense as they are set by default. Required
-    /// for depth.
+    /// Depth of one step of a depth image: 0.1 for Revopoint, 1 for Kinect and RealSense by default. Required for depth.
     #[schemars(range(min = 1e-6, max = 1000.0))]
     pub depth_unit_mm: Option<f64>,
-    /// Whether the matrix of an IMAGE moves the points that its pixels give. false: the components of a point image, and the rays of
-    /// a camera, are coordinates of the camera already, and PLUS sends spacings or a pose of the image in its matrix.
+    /// Whether the matrix of an IMAGE moves the points of its pixels. false: a point image and the rays of a camera are in the
+    /// camera's coordinates, and PLUS sends spacings or a pose of the image in the matrix.
     pub use_matrix: bool,
     /// The frame of coordinates.
     pub frame: Option<String>,
