@@ -2,7 +2,7 @@
 
 use crate::common::{browser::Browser, isometry, json, osteoflow, python::Folder, root};
 use crate::viewer_hands::{Case, draw_around_bone, pair_side_by_side};
-use crate::viewer_next::{line, simulate_wound};
+use crate::viewer_next::{simulate_wound, wait_for_line};
 use crate::viewer_picking::{press, text};
 use osteoflow_formats::mesh_or_cloud::{read_cloud, read_mesh};
 use osteoflow_geometry::{SurfaceOrigin, nalgebra::Isometry3};
@@ -25,15 +25,15 @@ fn two_files_with_skin_in_the_scan_lead_by_hand_to_a_trusted_answer_as_the_line_
     let mut case = Case::in_folder(folder, "wound", &mesh, &scan, ends, Some((t_ct_camera, 0.5)));
     let served = case.view(browser);
     browser.wait_until("osteoflow.scene.drawn.has('scan.cloud')");
-    assert_eq!(line(browser), ("Crop the scan to the bone: skin or drape is in it".into(), Some("Region".into())));
+    wait_for_line(browser, "Crop the scan to the bone: skin or drape is in it", Some("Region"));
     browser.screenshot("wound-1-doubtful");
 
     press(browser, "#next button");
     browser.wait_until("osteoflow.region.isOpen");
-    assert_eq!(line(browser), ("Draw around the bone on the scan".into(), None));
+    wait_for_line(browser, "Draw around the bone on the scan", None);
     draw_around_bone(browser, &case);
     browser.screenshot("wound-2-drawn");
-    assert_eq!(line(browser), ("Press save and run below the scan, or draw more".into(), None));
+    wait_for_line(browser, "Press save and run below the scan, or draw more", None);
     press(browser, "#region-save");
     let ended = |browser: &mut Browser, n: usize| {
         browser.wait_until(&format!(
@@ -43,7 +43,7 @@ fn two_files_with_skin_in_the_scan_lead_by_hand_to_a_trusted_answer_as_the_line_
     ended(browser, 2);
     browser.screenshot("wound-3-cropped");
     let place = "Show where the scan lies: pick three places on the bone, and the same on the scan";
-    assert_eq!(line(browser), (place.into(), Some("Pick pairs".into())), "{}", case.results(2)["verdict"]);
+    wait_for_line(browser, place, Some("Pick pairs"));
 
     press(browser, "#next button");
     browser.wait_until("osteoflow.picking.mode === 'pairs'");
@@ -51,7 +51,7 @@ fn two_files_with_skin_in_the_scan_lead_by_hand_to_a_trusted_answer_as_the_line_
     ended(browser, 3);
     browser.screenshot("wound-4-trusted");
     let done = "Touch one landmark with a stylus, or scan a check piece, before you use this answer";
-    assert_eq!(line(browser), (done.into(), None), "{}", case.results(3)["verdict"]);
+    wait_for_line(browser, done, None);
     // What the page says is what the file has; the pose was compared with the truth when the pairs were saved.
     let verdict = &json(&case.run(3).join("results.json"))["verdict"];
     assert_eq!(text(browser, "verdict"), format!("trusted {}", verdict["sentence"].as_str().unwrap()));

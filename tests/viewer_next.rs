@@ -23,12 +23,19 @@ fn open(browser: &mut Browser, page: &str, ready: &str) {
     browser.wait_until(&format!("document.readyState === 'complete' && typeof osteoflow === 'object' && ({ready})"));
 }
 
+/// Waits until the line is this one, with this button.
+pub(crate) fn wait_for_line(browser: &mut Browser, text: &str, button: Option<&str>) {
+    let expected = json!([text, button]);
+    browser.wait_until(&format!("JSON.stringify({LINE}) === JSON.stringify({expected})"));
+}
+
+/// The line, and the text of the button beside it, null if there is none.
+const LINE: &str = "(() => { const [line, button] = document.getElementById('next').children; return [line.textContent, button.hidden ? null : button.textContent]; })()";
+
 /// The line, and the button beside it if there is one.
-pub(crate) fn line(browser: &mut Browser) -> (String, Option<String>) {
+fn line(browser: &mut Browser) -> (String, Option<String>) {
     browser.evaluate(FRAMES);
-    let said = browser.evaluate(
-        "(() => { const [line, button] = document.getElementById('next').children; return [line.textContent, button.hidden ? null : button.textContent]; })()",
-    );
+    let said = browser.evaluate(LINE);
     serde_json::from_value(said).unwrap()
 }
 
@@ -108,6 +115,9 @@ fn each_state_of_the_page_says_in_one_line_at_one_place_what_to_do_first_with_it
         "node \"coarse\": none of 90 starts came to lie on the surface; If surroundings are in the scan, {CROP}"
     );
     let four = "check the side; scan more of the bone, or start from four landmarks that do not lie in a plane";
+    let unit = "give its unit (register: --source-unit-mm 1000; in a graph: scan.unit_mm = 1000.0)";
+    let sensor = "state the sensor if it is another one (register: --sensor; in a graph: ct_surface.sensor.like), clean the bone and scan again, \
+                  and check that CT and scan are of one bone";
     let mended = "Mend what the line above says, and run again";
     for (changes, expected) in [
         (
@@ -144,6 +154,16 @@ fn each_state_of_the_page_says_in_one_line_at_one_place_what_to_do_first_with_it
         (
             json!({ "verdict": verdict("doubtful", &[misfit.clone()]) }),
             alone("Clean the bone and scan again, and check that CT and scan are of one bone"),
+        ),
+        (
+            json!({ "verdict": verdict("refused", &[reason("extent", "refused", "the scan spans 0.1 mm", unit)]) }),
+            alone("Give its unit (register: --source-unit-mm 1000; in a graph: scan.unit_mm = 1000.0)"),
+        ),
+        (
+            json!({ "verdict": verdict("doubtful", &[reason("misfit", "doubtful", "scan and surface differ", sensor)]) }),
+            alone(
+                "State the sensor if it is another one, clean the bone and scan again, and check that CT and scan are of one bone",
+            ),
         ),
         (
             json!({ "verdict": verdict("doubtful", &[reason("own", "doubtful", "a rule of one's own", "")]) }),
@@ -214,12 +234,13 @@ fn each_state_of_the_page_says_in_one_line_at_one_place_what_to_do_first_with_it
     press(browser, "#next button");
     browser.wait_until("document.getElementById('play').textContent === 'pause'");
     assert_eq!(line(browser), alone("Wait for the end of the recording: the verdict comes there"));
-    // What cannot be done on the page of a recording has no button, and the command is said.
+    // What cannot be done on the page of a recording has no button.
     let mut old = browser.evaluate("osteoflow.state");
     browser.evaluate("document.getElementById('speed').value = '20'; document.getElementById('speed').onchange();");
     browser.wait_until("osteoflow.verdict !== null");
     old["verdict"] = verdict("refused", &[reason("on_surface", "refused", surroundings, CROP)]);
-    assert_eq!(say(browser, &old), (format!("C{}", &CROP[1..]), None));
+    let again = "Crop the scan to the bone, and register it again: skin or drape is in it";
+    assert_eq!(say(browser, &old), alone(again));
     old["problem"] = "the recording is damaged: it ends in a chunk".into();
     let damaged = "Look at what is left of the recording; osteoflow recover FILE NEW saves it";
     assert_eq!(say(browser, &old), with(damaged, "Play"));

@@ -78,7 +78,8 @@ function verdict() {
 }
 
 function judge() {
-  const waiting = !isOpen ? "not connected" : state.state === "running" || !isAtEnd ? "not judged yet" : "not judged";
+  const isUnderWay = state.state === "recorded" ? !isAtEnd : ["connecting", "running"].includes(state.state);
+  const waiting = !isOpen ? "not connected" : isUnderWay ? "not judged yet" : "not judged";
   const now = verdict();
   // What the last run gave is no answer of a graph that has a fault since.
   showVerdict(element("verdict"), now, waiting, state.outdated ? OUTDATED : null, true);

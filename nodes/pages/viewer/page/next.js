@@ -22,6 +22,8 @@
  */
 
 const N_PAIRS = 3;
+/** Length of a remedy that is more than a line, characters. */
+const LONG = 90;
 /** How a remedy begins if surroundings are in the scan, and which remedies name a crop or picked points. */
 const CROP = "crop the scan to the bone", NAMES_CROP = /\bcrop\b/, NAMES_POINTS = /\b(start from|locate)( four)? landmarks\b/;
 /** Reasons of the engine: the run gave no answer. */
@@ -70,14 +72,16 @@ export function nextStep({ isOpen, state, verdict, hasScan, isAtEnd, plays, tool
   if (verdict === null) return step("unjudged", "Look at the scan on the bone yourself: nothing in this graph gives a verdict");
   if (verdict.answer === "trusted") return step("trusted", "Touch one landmark with a stylus, or scan a check piece, before you use this answer");
   if (!first) return step(verdict.answer, "Mend what the line above says, and run again");
-  const remedy = first.remedy[0].toUpperCase() + first.remedy.slice(1);
   if (first.remedy.startsWith(CROP)) {
-    return step("surroundings", can.includes("region") ? "Crop the scan to the bone: skin or drape is in it" : remedy, "region");
+    return step("surroundings", can.includes("region") ? "Crop the scan to the bone: skin or drape is in it" : "Crop the scan to the bone, and register it again: skin or drape is in it", "region");
   }
   if (first.rule === "start" && can.includes("pairs")) {
     return step("place", "Show where the scan lies: pick three places on the bone, and the same on the scan", "pairs");
   }
-  return step(verdict.answer, remedy, NAMES_CROP.test(remedy) ? "region" : NAMES_POINTS.test(first.remedy) ? "pairs" : null);
+  // Of a long remedy the names of options are in the list of reasons alone.
+  const remedy = first.remedy.length > LONG ? first.remedy.replace(/ \([^)]*\)/g, "") : first.remedy;
+  const action = NAMES_CROP.test(remedy) ? "region" : NAMES_POINTS.test(remedy) ? "pairs" : null;
+  return step(verdict.answer, remedy[0].toUpperCase() + remedy.slice(1), action);
 }
 
 /** Shows the line, if it is another one. @param {HTMLElement} holder @param {Step} next @param {Record<Action, () => void>} does */

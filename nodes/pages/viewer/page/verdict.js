@@ -38,8 +38,12 @@ const SHAPES = {
   unknown: '<circle class="open" cx="16" cy="16" r="13"/><path class="mark dark" d="M9 16h14"/>',
 };
 
-/** A long reason up to what explains it. @param {string} reason */
-const firstClause = (reason) => (reason.length > 160 ? reason.replace(/^(.{40,}?)[:;] .*$/, "$1") : reason);
+/** A long reason up to what explains it, which begins behind a colon or a semicolon outside of parentheses. @param {string} reason */
+function firstClause(reason) {
+  const depth = (/** @type {string} */ text) => text.split("(").length - text.split(")").length;
+  const end = [...reason.matchAll(/[:;] /g)].find(({ index }) => index >= 40 && depth(reason.slice(0, index)) === 0);
+  return end && reason.length > 160 ? reason.slice(0, end.index) : reason;
+}
 
 /**
  * @param {HTMLElement} holder
