@@ -70,6 +70,8 @@ mod python_live;
 #[cfg(unix)]
 mod python_nodes;
 mod python_package;
+#[cfg(unix)]
+mod reader_tasks;
 mod readme;
 mod real_sets;
 mod recorded;
@@ -113,6 +115,8 @@ mod viewer_doors;
 mod viewer_hands;
 #[cfg(unix)]
 mod viewer_layout;
+#[cfg(unix)]
+mod viewer_next;
 mod viewer_notebook;
 #[cfg(unix)]
 mod viewer_picking;

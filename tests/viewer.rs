@@ -567,7 +567,7 @@ fn planes_of_a_doubtful_answer_are_hatched_and_of_a_refused_one_not_drawn() {
     open(&mut browser, &served);
     browser.wait_until("document.getElementById('verdict').className === 'verdict doubtful'");
     browser.wait_until("osteoflow.scene.drawn.get('planes.planes')?.object.visible === true");
-    let said = browser.evaluate("document.getElementById('verdict').textContent");
+    let said = browser.evaluate("['verdict', 'reasons'].map((id) => document.getElementById(id).textContent).join()");
     let reasons = results["verdict"]["reasons"].as_array().unwrap().iter();
     for whole in reasons.map(|r| format!("{}; {}", r["reason"].as_str().unwrap(), r["remedy"].as_str().unwrap())) {
         assert_eq!(said.as_str().unwrap().matches(&whole).count(), 1, "{whole} is said once: {said}");

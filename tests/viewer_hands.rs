@@ -78,6 +78,18 @@ impl Case {
         let folder = tempfile::tempdir().unwrap();
         write_stl(&folder.path().join("bone.stl"), mesh).unwrap();
         write_ply(&folder.path().join("scan.ply"), scan, 1.0).unwrap();
+        Self::in_folder(folder, name, mesh, scan, ends, t_bone_scan)
+    }
+
+    /// A bone and a scan whose files, `bone.stl` and `scan.ply`, are in a folder.
+    pub(crate) fn in_folder(
+        folder: tempfile::TempDir,
+        name: &str,
+        mesh: &Mesh,
+        scan: &Cloud,
+        ends: [Point3<f64>; 2],
+        t_bone_scan: Option<(Isometry3<f64>, f64)>,
+    ) -> Self {
         Self {
             name: name.to_owned(),
             bone: MeshQuery::new(mesh),
@@ -111,12 +123,12 @@ impl Case {
         ]
     }
 
-    fn run(&self, n: usize) -> PathBuf {
+    pub(crate) fn run(&self, n: usize) -> PathBuf {
         self.folder.path().join(if n == 1 { "run".to_owned() } else { format!("run-{n}") })
     }
 
     /// What the n-th run has found, once it has ended.
-    fn results(&self, n: usize) -> Value {
+    pub(crate) fn results(&self, n: usize) -> Value {
         let until = Instant::now() + LIMIT;
         while !self.run(n).join("manifest.json").exists() {
             assert!(Instant::now() < until, "run {n} does not end");
@@ -125,7 +137,7 @@ impl Case {
         serde_json::from_slice(&fs::read(self.run(n).join("results.json")).unwrap()).unwrap()
     }
 
-    fn pose(&self, n: usize) -> Isometry3<f64> {
+    pub(crate) fn pose(&self, n: usize) -> Isometry3<f64> {
         let results = self.results(n);
         let rows: Vec<Vec<f64>> = serde_json::from_value(results["t_ct_camera"]["matrix"].clone())
             .unwrap_or_else(|_| panic!("{}: no pose: {}", self.name, results["verdict"]));
@@ -359,9 +371,14 @@ fn marks(browser: &mut Browser, case: &Case) -> Vec<(Point3<f64>, Point3<f64>, V
 
 /// Picks three pairs side by side, by a mouse or a finger, saves and runs; `n` is the number of the run.
 pub(crate) fn pair_by_hand(browser: &mut Browser, case: &Case, n: usize, is_touch: bool) {
+    press(browser, "#pick-pairs");
+    pair_side_by_side(browser, case, n, is_touch);
+}
+
+/// The same where bone and scan are side by side already.
+pub(crate) fn pair_side_by_side(browser: &mut Browser, case: &Case, n: usize, is_touch: bool) {
     let axis = &case.name;
     let (truth, points) = (case.t_bone_scan.unwrap(), case.scan.points());
-    press(browser, "#pick-pairs");
     browser.wait_until("osteoflow.beside.made?.drawn.get(osteoflow.beside.picked?.wire)?.object.visible === true && !osteoflow.beside.isNew && osteoflow.scene.isLookedAt");
     assert!(text(browser, "pick-next").contains("0 of 3 pairs"), "{}", text(browser, "pick-next"));
     // The scan is seen whole, its length upright where it has one.
@@ -444,6 +461,27 @@ fn seen_points(browser: &mut Browser, case: &Case) -> (Vec<[f64; 2]>, [f64; 4]) 
     let bound = |k: usize, sign: f64| sign * all.iter().map(|p| sign * p[k]).fold(f64::MAX, f64::min);
     let bounds = [bound(0, 1.0), bound(1, 1.0), bound(0, -1.0), bound(1, -1.0)];
     (all, bounds)
+}
+
+/// Draws a lasso around what is bone in the scan, along its upper and lower edge as the region's view shows it.
+pub(crate) fn draw_around_bone(browser: &mut Browser, case: &Case) {
+    let (seen, _) = seen_points(browser, case);
+    let truth = case.t_bone_scan.unwrap();
+    let is_bone = |p: &Point3<f64>| case.bone.closest_point(&(truth * p)).is_some_and(|place| place.distance_mm < 0.7);
+    let bone: Vec<[f64; 2]> =
+        case.scan.points().iter().zip(&seen).filter(|(p, _)| is_bone(p)).map(|(_, at)| *at).collect();
+    let bound = |sign: f64| sign * bone.iter().map(|at| sign * at[0]).fold(f64::MAX, f64::min);
+    let (left, step) = (bound(1.0), (bound(-1.0) - bound(1.0)) / 10.0);
+    let edge = |sign: f64| -> Vec<[f64; 2]> {
+        let of = |k: usize| {
+            let within = bone.iter().filter(|at| ((at[0] - left) / step - k as f64 - 0.5).abs() <= 0.6);
+            [left + (k as f64 + 0.5) * step, sign * within.map(|at| sign * at[1]).fold(f64::MAX, f64::min)]
+        };
+        (0..10).map(of).collect()
+    };
+    let (upper, mut lower) = (edge(1.0), edge(-1.0));
+    lower.reverse();
+    browser.stroke(&[upper, lower].concat());
 }
 
 /// Crops by a lasso or a box, saves and runs, and looks at what is left; `n` is the number of the run.

@@ -8,6 +8,7 @@ import { GraphList, allowedAges, derivedClouds } from "./graph.js";
 import { Frames } from "./frames.js";
 import { LayerList, showItem } from "./layers.js";
 import { payloadOf, readItem, readTransform } from "./message.js";
+import { nextStep, showNext, showReasons } from "./next.js";
 import { Picking } from "./pick.js";
 import { RegionTool } from "./region.js";
 import { may, setRole, whatNot } from "./request.js";
@@ -55,7 +56,8 @@ let state = { state: "connecting" };
 const verdicts = new Map();
 /** Whether a recording was played to its end. */
 let isAtEnd = false;
-let isOpen = false;
+/** Whether the stream is open; null before it was. @type {boolean | null} */
+let isOpen = null;
 /** How old what a wire carries may be, ms. @type {Map<string, number>} */
 let allowed = new Map();
 /** Time of the last item of each stream, ms. @type {Map<string, {at: number, n: number}>} */
@@ -76,10 +78,12 @@ function verdict() {
 }
 
 function judge() {
-  const waiting = !isOpen ? "not connected" : state.state === "running" || !isAtEnd ? "not judged yet" : "not judged";
+  const isUnderWay = state.state === "recorded" ? !isAtEnd : ["connecting", "running"].includes(state.state);
+  const waiting = !isOpen ? "not connected" : isUnderWay ? "not judged yet" : "not judged";
   const now = verdict();
   // What the last run gave is no answer of a graph that has a fault since.
-  showVerdict(element("verdict"), now, waiting, state.outdated ? OUTDATED : null);
+  showVerdict(element("verdict"), now, waiting, state.outdated ? OUTDATED : null, true);
+  showReasons(element("why"), element("reasons"), now);
   const errors = state.outdated ? null : errorsOf(now, targets());
   showErrors(element("errors"), errors);
   scene.judge(state.outdated ? null : now?.answer ?? null, errors);
@@ -124,6 +128,23 @@ function showRole(role) {
 function crops() {
   const of = graph.all.filter(({ kind }) => kind.startsWith("crop."));
   return of.map(({ name, inputs }) => ({ node: name, wire: inputs.find((input) => input.name === "cloud")?.from ?? null }));
+}
+
+/** What to do first. */
+function showWhatNext() {
+  const tool = region.isOpen ? "region" : picking.mode;
+  const hasScan = [...scene.drawn.values()].some(({ payload }) => payload === "geometry/Cloud");
+  const isDrawn = crops().some(({ wire }) => wire !== null && scene.drawn.has(wire));
+  const hasPair = may("write") && picking.clouds().length > 0 && picking.bone() !== null;
+  /** @type {import("./next.js").Action[]} */
+  const can = [];
+  if (isDrawn && !element("draw").hidden) can.push("region");
+  if (hasPair) can.push("pairs");
+  if (range && may("steer")) can.push("play");
+  const nDone = tool === "region" ? region.shapes.length : picking.nPairs();
+  const saves = picking.panel.save.textContent;
+  const next = nextStep({ isOpen, state, verdict: verdict(), hasScan, isAtEnd, plays, tool, nDone, saves, can });
+  showNext(element("next"), next, { region: () => element("draw").click(), pairs: () => picking.enter("pairs"), play: () => element("play").click() });
 }
 
 function showRegionButton() {
@@ -334,6 +355,7 @@ function animate() {
     beside.prepare(frames);
     drawMs = scene.draw(frames) + beside.draw(frames);
     showViewButtons();
+    showWhatNext();
     drawsAt = performance.now() + drawMs;
   }
   layers.draw();

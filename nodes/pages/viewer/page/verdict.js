@@ -38,13 +38,21 @@ const SHAPES = {
   unknown: '<circle class="open" cx="16" cy="16" r="13"/><path class="mark dark" d="M9 16h14"/>',
 };
 
+/** A long reason up to what explains it, which begins behind a colon or a semicolon outside of parentheses. @param {string} reason */
+function firstClause(reason) {
+  const depth = (/** @type {string} */ text) => text.split("(").length - text.split(")").length;
+  const end = [...reason.matchAll(/[:;] /g)].find(({ index }) => index >= 40 && depth(reason.slice(0, index)) === 0);
+  return end && reason.length > 160 ? reason.slice(0, end.index) : reason;
+}
+
 /**
  * @param {HTMLElement} holder
  * @param {any} verdict as in results.json, or null
  * @param {string} waiting what to say without one
  * @param {string | null} old why it is not that of the graph now
+ * @param {boolean} isShort the first clause of the first reason alone
  */
-export function showVerdict(holder, verdict, waiting, old = null) {
+export function showVerdict(holder, verdict, waiting, old = null, isShort = false) {
   const answer = verdict?.answer ?? null;
   const kind = answer !== null && Object.hasOwn(SHAPES, answer) ? answer : "unknown";
   holder.className = old === null ? `verdict ${kind}` : "verdict old";
@@ -68,9 +76,10 @@ export function showVerdict(holder, verdict, waiting, old = null) {
   // A sentence that is made of the first reason gives way to the reason with its remedy.
   const worst = reasons.find((reason) => reason.answer === answer) ?? reasons[0];
   const first = worst && verdict.sentence?.startsWith(worst.reason) ? worst : null;
-  if (first || verdict?.sentence) words.append(` ${first ? whole(first) : verdict.sentence}`);
+  if (isShort && worst) words.append(` ${worst.rule === "failure" ? worst.reason : firstClause(worst.reason)}`);
+  else if (first || verdict?.sentence) words.append(` ${first ? whole(first) : verdict.sentence}`);
   const others = reasons.filter((reason) => reason !== first);
-  if (others.length > 0) {
+  if (others.length > 0 && !isShort) {
     const list = document.createElement("ul");
     for (const reason of others) {
       const entry = document.createElement("li");

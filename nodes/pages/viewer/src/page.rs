@@ -30,6 +30,7 @@ const FILES: &[File] = &[
     ("eye.js", SCRIPT, include_str!("../page/eye.js")),
     ("trackball.js", SCRIPT, include_str!("../page/trackball.js")),
     ("beside.js", SCRIPT, include_str!("../page/beside.js")),
+    ("next.js", SCRIPT, include_str!("../page/next.js")),
     ("times.js", SCRIPT, include_str!("../page/times.js")),
     ("load.js", SCRIPT, include_str!("../page/load.js")),
     ("layers.js", SCRIPT, include_str!("../page/layers.js")),
