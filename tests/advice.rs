@@ -84,7 +84,7 @@ fn options(text: &str) -> Vec<(Option<&'static str>, String)> {
 
 /// The keys that a text names, each with the values that it may have.
 fn keys(text: &str) -> Vec<(String, Vec<String>)> {
-    let some = ["true", "0.25", "\"never\"", "\"laser\"", "{}"].map(String::from).to_vec();
+    let some = ["true", "0.25", "\"never\"", "\"laser\"", "[0.0, 0.0, 500.0]", "{}"].map(String::from).to_vec();
     let all = words(text, |c| c.is_ascii_lowercase() || c == '_' || c == '.').into_iter();
     all.filter_map(|(_, word, after)| {
         let word = word.trim_end_matches('.');

@@ -78,6 +78,7 @@ mod recorded;
 mod recorded_no_points;
 mod refusals;
 mod register;
+mod register_messages;
 mod register_verdict;
 mod replay;
 mod report;

@@ -12,6 +12,7 @@ use osteoflow_algorithms::{
     mesh_query::MeshQuery,
     sensor::{Sensor, SensorKind},
     sensor_error::{KnownPart, ScanErrors, SensorErrors, Told},
+    trust::span,
 };
 use osteoflow_engine::run::Observer;
 use osteoflow_formats::{
@@ -118,7 +119,7 @@ impl Known {
         let scan: Cloud = scan.cloud.clone();
         let mut start = Isometry3::identity();
         if let Some(MeshOrCloud::Mesh(of)) = &self.surface {
-            let (scan_mm, part_mm) = (span_mm(scan.points()), span_mm(of.mesh.vertices()));
+            let [scan_mm, part_mm] = [scan.points(), of.mesh.vertices()].map(|points| span(points).unwrap_or(0.0));
             if !SPANS.contains(&(scan_mm / part_mm)) {
                 let fits = |unit: &&f64| SPANS.contains(&(scan_mm * **unit / part_mm));
                 let units: Vec<String> = UNITS_MM.iter().filter(fits).map(|unit| format!("--unit-mm {unit}")).collect();
@@ -143,12 +144,6 @@ impl Known {
         let viewpoint = viewpoint.or_else(|| (is_before(1.0) || is_before(-1.0)).then(Point3::origin));
         Ok(ScanErrors::of(scan.points(), &self.part, &start, viewpoint).map_err(|why| why.to_string()))
     }
-}
-
-/// The diagonal of the box around points, mm.
-fn span_mm(points: &[Point3<f64>]) -> f64 {
-    let both = points.iter().map(|p| (*p, *p)).reduce(|(a, b), (p, q)| (a.inf(&p), b.sup(&q)));
-    both.map_or(0.0, |(low, high)| (high - low).norm())
 }
 
 /// The files of a folder by name, without hidden ones; a file by itself.

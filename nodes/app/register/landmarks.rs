@@ -2,12 +2,15 @@
 
 use super::files::space_of;
 use anyhow::{Result, anyhow};
-use osteoflow_algorithms::target::Target;
+use osteoflow_algorithms::{coarse::UNITS, target::Target, trust::span};
 use osteoflow_formats::{
     Space,
     picked_points::{PickedPoints, read_picked_points},
 };
-use osteoflow_geometry::{Cloud, NamedPoint, nalgebra::Point3};
+use osteoflow_geometry::{
+    Cloud, NamedPoint,
+    nalgebra::{Isometry3, Point3, Vector3},
+};
 use std::path::{Path, PathBuf};
 
 /// Number of points needed for a start.
@@ -109,9 +112,7 @@ pub(super) fn points(
 
 /// Targets farther from the surface than its own size, which are hardly of this patient.
 pub(super) fn far_targets(target: &Target, targets: &[NamedPoint]) -> Option<String> {
-    let (min, max) =
-        target.points().iter().fold((target.points()[0], target.points()[0]), |(a, b), p| (a.inf(p), b.sup(p)));
-    let size_mm = (max - min).norm();
+    let size_mm = span(target.points())?;
     let far_mm = |p: &NamedPoint| target.nearest(&p.position, f64::INFINITY).map_or(f64::INFINITY, |(_, mm)| mm);
     let (name, mm) = targets.iter().map(|p| (&p.name, far_mm(p))).max_by(|a, b| a.1.total_cmp(&b.1))?;
     (mm > size_mm).then(|| {
@@ -120,8 +121,21 @@ pub(super) fn far_targets(target: &Target, targets: &[NamedPoint]) -> Option<Str
     })
 }
 
-/// A change of coordinates that is tried.
-type Moved = fn(&Point3<f64>) -> Point3<f64>;
+/// Distance from every point of the scan above which a point is not seen by it, mm: as far as picks lie beside its points.
+const UNSEEN_MM: f64 = 5.0;
+
+/// Points at which the scan, moved into their frame, shows no bone, and what follows.
+pub(super) fn unseen(points: &[NamedPoint], scan: &Cloud, t: &Isometry3<f64>, follows: &str) -> Option<String> {
+    let off_mm = |p: &NamedPoint| nearest_mm(scan, &t.inverse_transform_point(&p.position));
+    let far: Vec<_> = points.iter().map(|p| (&*p.name, off_mm(p))).filter(|(_, mm)| *mm > UNSEEN_MM).collect();
+    let most_mm = far.iter().map(|(_, mm)| *mm).reduce(f64::max)?;
+    let names = far.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", ");
+    Some(format!("the scan shows no bone at {names}, up to {most_mm:.0} mm from its nearest point: {follows}"))
+}
+
+fn nearest_mm(cloud: &Cloud, p: &Point3<f64>) -> f64 {
+    cloud.points().iter().map(|q| (p - q).norm()).fold(f64::INFINITY, f64::min)
+}
 
 /// Points picked on the target that are far from it, with the likely cause.
 pub(super) fn off_surface(
@@ -134,23 +148,27 @@ pub(super) fn off_surface(
         Some(closest) => closest.distance_mm,
         None => target.nearest(p, f64::INFINITY).map_or(f64::INFINITY, |(_, mm)| mm),
     };
-    let farthest = |moved: Moved| picked.iter().map(|p| surface_mm(&moved(&p.position))).fold(0.0, f64::max);
-    let off_mm = farthest(|p| *p);
+    let scaled = |p: &NamedPoint, by: [f64; 3]| Point3::from(p.position.coords.component_mul(&Vector3::from(by)));
+    let farthest = |by| picked.iter().map(|p| surface_mm(&scaled(p, by))).fold(0.0, f64::max);
+    let off_mm = farthest([1.0; 3]);
     if off_mm <= OFF_SURFACE_MM {
         return None;
     }
-    let causes: [(&str, Moved); 6] = [
-        ("with x and y negated they lie on it: RAS and LPS are mixed up", |p| Point3::new(-p.x, -p.y, p.z)),
-        ("with x negated they lie on it: left and right are mixed up", |p| Point3::new(-p.x, p.y, p.z)),
-        ("with y negated they lie on it: an axis is flipped", |p| Point3::new(p.x, -p.y, p.z)),
-        ("with z negated they lie on it: an axis is flipped", |p| Point3::new(p.x, p.y, -p.z)),
-        ("a thousand times as large they lie on it: they are in metres", |p| p * 1e3),
-        ("a thousandth as large they lie on it: they are in micrometres", |p| p * 1e-3),
+    let causes = [
+        ("with x and y negated they lie on it: RAS and LPS are mixed up", [-1.0, -1.0, 1.0]),
+        ("with x negated they lie on it: left and right are mixed up", [-1.0, 1.0, 1.0]),
+        ("with y negated they lie on it: an axis is flipped", [1.0, -1.0, 1.0]),
+        ("with z negated they lie on it: an axis is flipped", [1.0, 1.0, -1.0]),
+        (
+            "a thousandth as large they lie on it: they are in micrometres, or are given the unit of another file",
+            [1e-3; 3],
+        ),
     ];
-    let scan_mm = |p: &Point3<f64>| {
-        let points = source.map_or(&[][..], Cloud::points).iter();
-        points.map(|q| (p - q).norm()).fold(f64::INFINITY, f64::min)
+    let in_unit = |(mm, name): &(f64, &str)| {
+        let scale = "write them in mm: osteoflow convert POINTS OUT.csv --scale";
+        (format!("{mm} times as large they lie on it: they are in {name}; {scale} {mm}"), [*mm; 3])
     };
+    let scan_mm = |p: &Point3<f64>| source.map_or(f64::INFINITY, |scan| nearest_mm(scan, p));
     let all_near = |points: &[NamedPoint], mm: &dyn Fn(&Point3<f64>) -> f64| {
         !points.is_empty() && points.iter().all(|p| mm(&p.position) <= OFF_SURFACE_MM)
     };
@@ -160,13 +178,10 @@ pub(super) fn off_surface(
         return Some(format!("points picked in the target are up to {off_mm:.1} mm off its surface; {cause}"));
     }
     // Points that a smaller unit gathers in one place lie on any surface that passes there.
-    let is_spread = |moved: Moved| {
-        let apart = |p: &NamedPoint| (moved(&p.position) - moved(&picked[0].position)).norm();
-        picked.iter().map(apart).fold(0.0, f64::max) > OFF_SURFACE_MM
-    };
-    let cause = causes.iter().find(|(_, moved)| farthest(*moved) <= OFF_SURFACE_MM && is_spread(*moved));
-    let cause = cause.map_or(
-        "were they picked on this surface? Fiducials that lie off it are given by --fiducials",
+    let is_spread = |by| picked.iter().any(|p| (scaled(p, by) - scaled(&picked[0], by)).norm() > OFF_SURFACE_MM);
+    let mut causes = causes.map(|(cause, by)| (cause.to_owned(), by)).into_iter().chain(UNITS.iter().map(in_unit));
+    let cause = causes.find(|(_, by)| farthest(*by) <= OFF_SURFACE_MM && is_spread(*by)).map_or_else(
+        || "were they picked on this surface? Fiducials that lie off it are given by --fiducials".to_owned(),
         |(cause, _)| cause,
     );
     Some(format!("points picked in the target are up to {off_mm:.1} mm off its surface; {cause}"))

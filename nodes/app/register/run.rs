@@ -4,7 +4,7 @@ use super::{
     FRAMES, ReadStart, Register, RegisterInput, TARGETS,
     answer::{Registration, Timings},
     files::moved_source,
-    landmarks::{far_targets, off_surface},
+    landmarks::{far_targets, off_surface, unseen},
     method::{POSE, REPORT},
 };
 use crate::app::{
@@ -19,7 +19,7 @@ use osteoflow_engine::{
     run::{Event, Observer, Outcome, Refusal, RunOptions, RunReport},
 };
 use osteoflow_formats::mesh_or_cloud::MeshOrCloud;
-use osteoflow_geometry::{Cloud, NamedPoint, Points, Pose};
+use osteoflow_geometry::{Cloud, NamedPoint, Points, Pose, nalgebra::Isometry3};
 use osteoflow_node::{Body, Emission, Empty, Item, OutputPorts, Outputs, Payload, Value};
 use osteoflow_payloads::{Json, Table};
 use osteoflow_standard::{acquire::cloud, surface::any};
@@ -231,6 +231,13 @@ impl Register {
             ["bone.report", "scan.report"].map(|wire| value::<Json>(wires, wire).map(|json| (*json.0).clone()));
         let mut cropped = self.cropped(wires);
         cropped.extend(target.as_ref().and_then(|target| far_targets(target, &self.targets)));
+        if let (Some(scan), Some(pose)) = (value::<Cloud>(wires, "thin.cloud"), pose) {
+            let picks = if self.request.fiducials.is_some() { &[] } else { in_source };
+            let of_picks = "only the other landmarks can confirm one that the surface does not";
+            cropped.extend(unseen(picks, &scan, &Isometry3::identity(), of_picks));
+            let of_targets = "the predicted errors hold if the bone is there as in the CT";
+            cropped.extend(unseen(&self.targets, &scan, &pose, of_targets));
+        }
         Ok(Registration {
             pose,
             init: value::<Pose>(wires, "coarse.t_target_source").map(|pose| pose.isometry),

@@ -27,6 +27,12 @@ const HINT_ABOVE_MM: f64 = 1.5;
 /// Maximum number of points of which all permutations are tried.
 const MAX_PERMUTED: usize = 6;
 
+/// Units of files that are not in mm, with their names.
+pub const UNITS: [(f64, &str); 3] = [(10.0, "cm"), (25.4, "inches"), (1000.0, "metres")];
+
+/// A ratio of distances that differs by less than this share from that of two units is theirs: as far as picks are off.
+const UNIT_TOLERANCE: f64 = 0.1;
+
 /// A coarse fit and its report.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CoarseFit {
@@ -104,13 +110,17 @@ pub fn three_point(target: &[NamedPoint], source: &[NamedPoint]) -> Result<Coars
     let source = paired(target, source)?;
     let t: Vec<Point3<f64>> = target.iter().map(|p| p.position).collect();
     let s: Vec<Point3<f64>> = source.iter().map(|p| p.position).collect();
+    let sides = sides(target, &source);
+    if let Some(refusal) = other_unit(&sides) {
+        return Err(refusal);
+    }
     let t_target_source = kabsch(&t, &s)?;
     let (target_off_line_mm, source_off_line_mm) = (off_line_mm(&t), off_line_mm(&s));
     for (side, off_line_mm) in [("target", target_off_line_mm), ("source", source_off_line_mm)] {
         if off_line_mm < MIN_OFF_LINE_MM {
             return Err(Refusal::of(format!(
                 "the {side} points lie {off_line_mm:.2} mm (RMS) off a line, {MIN_OFF_LINE_MM} mm is needed to fix the turn about \
-                 it; choose landmarks off the line"
+                 it; choose landmarks off the line, in mm"
             )));
         }
     }
@@ -127,12 +137,25 @@ pub fn three_point(target: &[NamedPoint], source: &[NamedPoint]) -> Result<Coars
     let report = CoarseReport {
         pairs,
         fre_mm,
-        sides: sides(target, &source),
+        sides,
         target_off_line_mm,
         source_off_line_mm,
         permutation: better_order(&t, &source, fre_mm),
     };
     Ok(CoarseFit { t_target_source, report })
+}
+
+/// The refusal of points of which one side is as much smaller than the other as another unit makes it.
+fn other_unit(sides: &[CoarseSide]) -> Option<Refusal> {
+    let mean = |mm: fn(&CoarseSide) -> f64| sides.iter().map(mm).sum::<f64>() / sides.len() as f64;
+    let [target_mm, source_mm] = [mean(|side| side.target_mm), mean(|side| side.source_mm)];
+    let ratio = (target_mm / source_mm).max(source_mm / target_mm);
+    let (unit_mm, name) = UNITS.iter().find(|(unit_mm, _)| (ratio / unit_mm - 1.0).abs() < UNIT_TOLERANCE)?;
+    let small = if target_mm < source_mm { "target" } else { "source" };
+    Some(Refusal::of(format!(
+        "the target points lie {target_mm:.2} mm apart (mean) and the source points {source_mm:.2} mm: are the {small} points in {name}? \
+         Write them in mm: osteoflow convert POINTS OUT.csv --scale {unit_mm}"
+    )))
 }
 
 /// The source points in the order of the target's names.

@@ -70,6 +70,7 @@ pub use residuals::{Residual, Residuals};
 pub use room::{room_note, room_span};
 pub use rules::RuleParams;
 pub use score::{IntervalScore, VerdictScore, VerdictScoreParams, verdict_score};
+pub use size::span;
 pub use spread::Spread;
 pub use stylus::StylusErrors;
 pub(crate) use surface_error::MEDIAN_SIGMAS;

@@ -50,13 +50,8 @@ impl Scene {
         let up = viewer.cross(&right);
         let turn = Matrix3::from_rows(&[right.transpose(), up.transpose(), viewer.transpose()]);
         let seen: Vec<Vector3<f64>> = points.iter().map(|p| turn * p.coords).collect();
-        let (mut low, mut high) = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
-        for p in &seen {
-            (low, high) = (low.inf(p), high.sup(p));
-        }
-        if seen.is_empty() {
-            (low, high) = (Vector3::repeat(-1.0), Vector3::repeat(1.0));
-        }
+        let bounds = seen.iter().map(|p| (*p, *p)).reduce(|(low, high), (p, _)| (low.inf(&p), high.sup(&p)));
+        let (low, high) = bounds.unwrap_or((Vector3::repeat(-1.0), Vector3::repeat(1.0)));
         let size = (high - low).map(|s| s.max(1.0));
         let aspect = (size.x / size.y.max(size.z)).clamp(1.6, 2.6);
         let half_width = 0.62 * size.x.max(size.y.max(size.z) * aspect);

@@ -1,9 +1,12 @@
 //! What a registration by shape alone says: of the scan, of its mirror image, and as a start.
 
-use super::contrary::BETTER;
-use super::evidence::Evidence;
+use super::contrary::{BETTER, not_among};
+use super::evidence::{Evidence, N_EXAMINED, Registered, SEARCH_MM};
 use super::rules::RuleParams;
-use crate::coarse::{CROP, GlobalReport, RunnerUp};
+use super::{Residual, Residuals};
+use crate::coarse::{CROP, GlobalParams, GlobalReport, RunnerUp, global_by};
+use crate::target::Side;
+use nalgebra::Point3;
 use osteoflow_verdict::{Answer, Reason};
 
 /// The sign that by its shape alone the scan fits elsewhere better; or as well, and clearly or where no landmark tells the place.
@@ -41,9 +44,13 @@ const SURROUNDINGS_MM: f64 = 5.0;
 /// Clearness below which two places among surroundings are equally good.
 const ANY_PLACE: f64 = 0.02;
 
-/// Whether much of the scan is far from the surface.
+/// Share of the scan's mirror image on the surface above which nothing else is in the scan.
+const WHOLE: f64 = 0.9;
+
+/// Whether much of the scan is far from the surface, and of its mirror image, too.
 pub(super) fn has_surroundings(evidence: &Evidence) -> bool {
-    evidence.p90_mm.is_none_or(|mm| mm > SURROUNDINGS_MM)
+    let is_image_whole = evidence.shape.as_ref().and_then(|shape| shape.mirrored_support).is_some_and(|on| on > WHOLE);
+    evidence.p90_mm.is_none_or(|mm| mm > SURROUNDINGS_MM) && !is_image_whole
 }
 
 /// The sign in a start by shape alone that another place would have served as well. `is_planned` says whether it matters, on a surface
@@ -146,6 +153,44 @@ pub(super) fn side_reason(evidence: &Evidence, is_sparse: bool) -> Option<Reason
     (mirrored > than).then(|| Reason::new("mirrored", Answer::Doubtful, what, remedy))
 }
 
+/// A search by shape that leaves more than this asks about the camera, mm: a fine scan leaves less at its place. Without the camera less
+/// than this share of it is left, and more than this share of the surface faces away from the camera.
+const POOR_MM: f64 = 0.5;
+const LEFT: f64 = 0.5;
+const AWAY: f64 = 0.8;
+
+/// The sign that the camera lies on the far side of the scan: without it the scan fits, where that camera would not see it.
+pub(super) fn camera_reason(registered: &Registered<'_>, by_shape: &GlobalReport) -> Option<Reason> {
+    let Registered { target, source, .. } = *registered;
+    let camera = source.viewpoint? * Point3::origin();
+    if target.side() != Side::Outward || by_shape.score_mm < POOR_MM {
+        return None;
+    }
+    let mut unseen = source.clone();
+    unseen.viewpoint = None;
+    let fit = global_by(target, &unseen, &GlobalParams::default(), not_among(by_shape.searched)).ok()?;
+    let near = Residuals::new(target, source.points(), &fit.t_target_source, SEARCH_MM, N_EXAMINED)?.near;
+    let away = |camera: &Point3<f64>| {
+        let is_away = |near: &&Residual| near.normal.dot(&(fit.t_target_source * camera - near.point)) < 0.0;
+        near.iter().filter(is_away).count() as f64 / near.len().max(1) as f64
+    };
+    let (share, without_mm, with_mm) = (away(&camera), fit.report.score_mm, by_shape.score_mm);
+    (without_mm < LEFT * with_mm && share > AWAY).then(|| {
+        let text = |p: &Point3<f64>| format!("{},{},{}", p.x, p.y, p.z);
+        let reason = format!(
+            "the camera, stated at {} mm, lies on the far side of the scan: {:.0} % of the scanned surface faces away from it. Without it the \
+             scan fits ({without_mm:.2} mm RMS, against {with_mm:.2} mm); likely cause: a wrong sign, or other coordinates than the scan's",
+            text(&camera),
+            100.0 * share
+        );
+        let places = [Point3::origin(), Point3::origin() - camera.coords];
+        let near_side = places.iter().find(|place| away(place) < 1.0 - AWAY);
+        let other = near_side.map_or_else(String::new, |place| format!(", such as {},", text(place)));
+        let remedy = format!("state where it was{other} or leave it out (register: --camera; in a graph: scan.camera)");
+        Reason::new("camera", Answer::Refused, reason, remedy)
+    })
+}
+
 /// The sign that the scan's mirror image fits better.
 pub(super) fn mirror_reason(evidence: &Evidence) -> Option<Reason> {
     let shape = evidence.shape.as_ref()?;
@@ -158,6 +203,8 @@ pub(super) fn mirror_reason(evidence: &Evidence) -> Option<Reason> {
             100.0 * mirrored,
             100.0 * best
         );
-        Reason::new("mirrored", Answer::Refused, reason, "check the side, and that the CT was not flipped on export")
+        let remedy = "take the CT of the side that was scanned; if it is, it or its surface was flipped on export, such as by negating x alone: \
+                      export it again";
+        Reason::new("mirrored", Answer::Refused, reason, remedy)
     })
 }

@@ -192,11 +192,15 @@ pub(super) fn mirrored_support(
     searched: Option<Searched>,
 ) -> Option<Support> {
     let image = mirrored(registered.source);
-    let searched = searched.map(|searched| if searched == Searched::Among { Searched::Both } else { searched });
-    let fit = coarse::global_by(registered.target, &image, &GlobalParams::default(), searched).ok()?;
+    let fit = coarse::global_by(registered.target, &image, &GlobalParams::default(), not_among(searched)).ok()?;
     let image = Registered { source: &image, ..*registered };
     let pose = settled_from(&image, &fit.t_target_source, vec![FIRST_LEVEL])?;
     Some(Support::new(&image, &pose, noise_mm))
+}
+
+/// These searches without that by patches.
+pub(super) fn not_among(searched: Option<Searched>) -> Option<Searched> {
+    searched.map(|searched| if searched == Searched::Among { Searched::Both } else { searched })
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use super::contrary::{self, Support};
 use super::spread::normal_matrix;
 use super::surface_error::{CELL_MM, MEDIAN_SIGMAS};
 use super::{Inside, Misfit, Pattern, Residual, Residuals, ShapeEvidence, Spread, SurfaceError};
-use crate::coarse::{self, GlobalReport, Searched};
+use crate::coarse::{self, GlobalReport};
 use crate::sensor::Sensor;
 use crate::sensor_noise::sensor_noise_mm;
 use crate::target::{Side, Target};
@@ -122,8 +122,8 @@ pub struct Examined {
     pub to_settled: Option<Isometry3<f64>>,
     /// Which points lie on the surface at the better of the pose examined and that by shape alone.
     supported: Option<Support>,
-    /// Where the registration by shape alone was looked for.
-    searched: Option<Searched>,
+    /// The report of the registration by shape alone, if it was made.
+    pub(super) by_shape: Option<GlobalReport>,
     /// The sensor's noise from the scan alone; 0 where its points are too sparse to tell.
     pub(super) sensor_mm: f64,
 }
@@ -132,7 +132,8 @@ impl Examined {
     /// Adds the support of the scan's mirror image.
     pub fn examine_mirrored(&mut self, registered: &Registered<'_>) {
         let Some((shape, best)) = self.evidence.shape.as_mut().zip(self.supported.as_ref()) else { return };
-        if let Some(mirrored) = contrary::mirrored_support(registered, self.evidence.noise_mm, self.searched) {
+        let searched = self.by_shape.as_ref().and_then(|report| report.searched);
+        if let Some(mirrored) = contrary::mirrored_support(registered, self.evidence.noise_mm, searched) {
             shape.mirrored_support = Some(mirrored.share());
             shape.mirrored_margin_sd = Some(mirrored.margin_sd(best, registered.source.points()));
         }
@@ -188,7 +189,7 @@ impl Evidence {
         };
         let settled = contrary::settled(registered);
         let shape = params.shape.then(|| contrary::by_shape(registered, start, settled.as_ref())).flatten();
-        let searched = shape.as_ref().and_then(|(_, report)| report.searched);
+        let by_shape = shape.as_ref().map(|(_, report)| report.clone());
         let mut supported = None;
         let mut evidence = Evidence {
             noise_mm,
@@ -232,7 +233,7 @@ impl Evidence {
             shape
         });
         let to_settled = settled.map(|settled| settled * t_target_source.inverse());
-        Some(Examined { evidence, spread, to_settled, supported, searched, sensor_mm: sensor_mm.unwrap_or(0.0) })
+        Some(Examined { evidence, spread, to_settled, supported, by_shape, sensor_mm: sensor_mm.unwrap_or(0.0) })
     }
 }
 

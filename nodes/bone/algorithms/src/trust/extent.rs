@@ -1,6 +1,6 @@
 //! Whether a scan is large enough to say anything.
 
-use super::size::{BONE_MM, UNITS, span};
+use super::size::{BONE_MM, in_units, span};
 use nalgebra::Point3;
 use osteoflow_geometry::Cloud;
 use osteoflow_verdict::{Answer, Reason};
@@ -27,21 +27,13 @@ pub(super) fn extent_reason(scan: &Cloud, bone: &[Point3<f64>], is_by_shape: boo
         return None;
     }
     let bone_mm = span(bone).filter(|bone_mm| BONE_MM.contains(bone_mm)).unwrap_or_default();
-    let units: Vec<_> = UNITS.iter().filter(|(unit, _)| (TAKEN_MM..=bone_mm).contains(&(mm * unit))).collect();
     let small = format!("the scan spans {mm:.1} mm, too little to determine a pose");
-    let Some((unit_mm, _)) = units.first() else {
+    let Some([names, lengths, factors, first]) = in_units(mm, |mm| (TAKEN_MM..=bone_mm).contains(&mm)) else {
         return Some(Reason::new("extent", Answer::Doubtful, small, "scan a longer stretch"));
     };
-    let listed =
-        |words: &dyn Fn(&(f64, &str)) -> String| units.iter().map(|unit| words(unit)).collect::<Vec<_>>().join(" or ");
-    let reason = format!(
-        "{small}, and the bone {bone_mm:.0} mm: is the scan in {}? It would then span {}",
-        listed(&|(_, name)| (*name).to_owned()),
-        listed(&|(unit_mm, _)| format!("{:.0} mm", mm * unit_mm)),
-    );
+    let reason = format!("{small}, and the bone {bone_mm:.0} mm: is the scan in {names}? It would then span {lengths}");
     let remedy = format!(
-        "give its unit (register: --source-unit-mm {}; in a graph: scan.unit_mm = {unit_mm:?}), or scan a longer stretch",
-        listed(&|(unit_mm, _)| unit_mm.to_string()),
+        "give its unit (register: --source-unit-mm {factors}; in a graph: scan.unit_mm = {first}), or scan a longer stretch"
     );
     let answer = if is_by_shape { Answer::Refused } else { Answer::Doubtful };
     Some(Reason::new("extent", answer, reason, remedy))

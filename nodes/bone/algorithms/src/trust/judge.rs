@@ -3,8 +3,8 @@
 use super::assumptions::assumptions;
 use super::attitude::{marker_place_reason, untested_attitude};
 use super::by_shape::{
-    another_bone_reason, has_surroundings, mirror_reason, name_surroundings_first, shape_reason, side_reason,
-    start_reason, twin_assumption,
+    another_bone_reason, camera_reason, has_surroundings, mirror_reason, name_surroundings_first, shape_reason,
+    side_reason, start_reason, twin_assumption,
 };
 use super::case::Case;
 use super::chance::{chance_of_being_wrong, signs};
@@ -190,21 +190,24 @@ impl Judging<'_> {
         let is_sparse = coarse::is_sparse(registered.source.points());
         let is_coarse = registered.target.sensor().is_some_and(Sensor::is_coarse);
         let is_side_open = (is_sparse || is_coarse) && !self.is_side_told();
-        if self.is_mirror_due(&reasons, cause.is_some() || is_side_open) {
+        let is_due = self.is_mirror_due(&reasons, cause.is_some() || is_side_open);
+        let by_shape = examined.by_shape.as_ref().filter(|_| is_due);
+        let camera = by_shape.and_then(|report| camera_reason(registered, report));
+        if is_due && camera.is_none() {
             examined.examine_mirrored(registered);
             // A gross mistake is named before the cause that would explain it.
             let at = cause.as_ref().and_then(|cause| reasons.iter().position(|reason| reason.rule == *cause));
             if let Some((at, another)) = at.zip(another_bone_reason(&examined.evidence)) {
                 reasons.insert(at, another);
             }
-            reasons.extend(mirror_reason(&examined.evidence));
             reasons.extend(side_reason(&examined.evidence, is_sparse).filter(|_| is_side_open));
         }
+        let mirror = mirror_reason(&examined.evidence);
+        mirror.into_iter().for_each(|mirror| reasons.insert(0, mirror));
         name_surroundings_first(&mut reasons, has_surroundings(&examined.evidence), self.case.start);
-        // What else is wrong follows from it.
-        if let Some(size) = size_reason(registered, &examined.evidence) {
-            reasons.insert(0, size);
-        }
+        // What else is wrong follows from these.
+        let size = size_reason(registered, &examined.evidence);
+        [camera, size].into_iter().flatten().for_each(|first| reasons.insert(0, first));
         let beyond_limits = predicted.as_ref().map(|predicted| predicted.beyond_limits);
         // The error is told where points or cuts are planned.
         let mut predicted = predicted.filter(|_| !registered.at.is_empty());

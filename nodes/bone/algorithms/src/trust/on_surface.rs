@@ -29,10 +29,11 @@ pub(super) fn on_surface_reason(evidence: &Evidence, rules: &RuleParams) -> Opti
 pub(super) fn facing_away_reason(evidence: &Evidence) -> Option<Reason> {
     let share = evidence.facing_away.filter(|share| *share > MAX_FACING_AWAY)?;
     let reason = format!(
-        "{:.0} % of the scan lies on surface that faces away from the camera; likely cause: an inverted transform or a \
-         mirrored CT",
+        "{:.0} % of the scan lies on surface that faces away from the camera; likely cause: a camera stated \
+         on the wrong side, an inverted transform or a mirrored CT",
         100.0 * share
     );
-    let remedy = "check that scan and CT are of the same bone, side and patient";
+    let remedy =
+        "check where the camera was (register: --camera), and that scan and CT are of the same bone, side and patient";
     Some(Reason::new("facing_away", Answer::Refused, reason, remedy))
 }

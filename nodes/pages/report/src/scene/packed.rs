@@ -1,7 +1,7 @@
 //! Surfaces, points and values for the page's views: 16 bits for a coordinate, 8 for a value.
 
 use base64::{Engine, engine::general_purpose::STANDARD};
-use nalgebra::{Point3, Vector3};
+use nalgebra::Point3;
 use osteoflow_geometry::Mesh;
 use serde_json::{Value as Json, json};
 use std::{
@@ -16,13 +16,8 @@ pub(crate) const MAX_POINTS: usize = 40_000;
 
 /// Positions with 16 bits per coordinate, from their lowest corner in steps of `step` mm.
 pub(crate) fn positions(points: &[Point3<f64>]) -> Json {
-    let (mut low, mut high) = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
-    for p in points {
-        (low, high) = (low.inf(&p.coords), high.sup(&p.coords));
-    }
-    if points.is_empty() {
-        (low, high) = (Vector3::zeros(), Vector3::zeros());
-    }
+    let bounds = points.iter().map(|p| (p.coords, p.coords)).reduce(|(a, b), (p, _)| (a.inf(&p), b.sup(&p)));
+    let (low, high) = bounds.unwrap_or_default();
     let step = ((high - low).max() / f64::from(u16::MAX)).max(1e-9);
     let bytes: Vec<u8> = points
         .iter()
