@@ -5,7 +5,10 @@ use crate::viewer_hands::{Case, draw_around_bone, pair_side_by_side};
 use crate::viewer_next::{simulate_wound, wait_for_line};
 use crate::viewer_picking::{press, text};
 use osteoflow_formats::mesh_or_cloud::{read_cloud, read_mesh};
-use osteoflow_geometry::{SurfaceOrigin, nalgebra::Isometry3};
+use osteoflow_geometry::{
+    SurfaceOrigin,
+    nalgebra::{Isometry3, Vector3},
+};
 use serde_json::Value;
 use std::{fmt::Write, fs, path::Path, process::Command};
 
@@ -79,7 +82,7 @@ fn block(page: &str, words: &str) -> String {
 }
 
 #[test]
-fn a_tables_of_poses_of_a_tracker_of_ones_own_lead_to_cutting_planes_in_the_trackers_frame() {
+fn a_table_of_poses_of_a_tracker_of_ones_own_leads_to_cutting_planes_in_the_trackers_frame() {
     let folder = tempfile::tempdir().unwrap();
     ends_well(folder.path(), &["new", "procedure", "my_procedure"]);
     let at = folder.path().join("my_procedure");
@@ -124,7 +127,7 @@ fn a_tables_of_poses_of_a_tracker_of_ones_own_lead_to_cutting_planes_in_the_trac
     assert_eq!(truth.len(), 2);
     for ((own, first), plane) in planes("own").iter().zip(planes("first")).zip(truth) {
         let plane = isometry(plane);
-        let normal = |t: &Isometry3<f64>| t.rotation * osteoflow_geometry::nalgebra::Vector3::z();
+        let normal = |t: &Isometry3<f64>| t.rotation * Vector3::z();
         let off_mm = (own.translation.vector - plane.translation.vector).dot(&normal(&plane)).abs();
         let tilt_deg = normal(own).angle(&normal(&plane)).to_degrees();
         // The limits beyond which a cut counts as wrong are 1.5 mm and 0.5 degrees.

@@ -152,7 +152,7 @@ fn each_state_of_the_page_says_in_one_line_at_one_place_what_to_do_first_with_it
             alone("Clean the bone and scan again, and check that CT and scan are of one bone"),
         ),
         (
-            json!({ "verdict": verdict("doubtful", &[misfit.clone()]) }),
+            json!({ "verdict": verdict("doubtful", &[misfit]) }),
             alone("Clean the bone and scan again, and check that CT and scan are of one bone"),
         ),
         (

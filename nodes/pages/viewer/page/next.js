@@ -66,8 +66,8 @@ export function nextStep({ isOpen, state, verdict, hasScan, isAtEnd, plays, tool
   const first = reasons.find(({ rule, remedy }) => rule !== "require" && remedy !== "");
   if (state.state === "failed" || (first && NO_ANSWER.includes(first.rule))) {
     const isCrop = first?.reason.includes(CROP) && can.includes("region");
-    const mend = `end what the ${state.problem ? "red line" : "line above"} says, and run again`;
-    return step("failed", isCrop ? `Crop the scan to the bone if skin or drape is in it; else m${mend}` : `M${mend}`, isCrop ? "region" : null);
+    const cause = `what the ${state.problem ? "red line" : "line above"} says, and run again`;
+    return isCrop ? step("failed", `Crop the scan to the bone if skin or drape is in it; else mend ${cause}`, "region") : step("failed", `Mend ${cause}`);
   }
   if (verdict === null) return step("unjudged", "Look at the scan on the bone yourself: nothing in this graph gives a verdict");
   if (verdict.answer === "trusted") return step("trusted", "Touch one landmark with a stylus, or scan a check piece, before you use this answer");
