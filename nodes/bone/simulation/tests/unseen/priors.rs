@@ -1,7 +1,7 @@
 //! All causes at once, each drawn from its stated prior.
 //!
 //! The only place that knows the judge's parameters, by the names of their fields. Where one is renamed or added, this list
-//! follows. What each cause displaces is as the table of causes of docs/method/trust.md has it.
+//! follows. What each cause displaces is as the list of causes of docs/method/trust.md has it.
 
 use super::effect::{Effect, Field, Profile, turned};
 use super::faults::{Claim, Part};
