@@ -13,7 +13,7 @@ use std::{
 /// Size of a picture, pixels.
 const SIZE: [u32; 2] = [1000, 640];
 /// Mean difference of the colours of two pictures from which another thing is shown: another font or renderer differs by less.
-const SAME_COLOURS: f64 = 12.0;
+const SAME_COLOURS: f64 = 9.0;
 
 /// Waits until a run has written its results.
 fn wait_for(results: &Path) {
