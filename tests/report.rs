@@ -79,6 +79,15 @@ fn check_print(browser: &mut Browser, page: &Path) {
     browser.call("Emulation.clearDeviceMetricsOverride", json!({}));
 }
 
+/// The tables of all charts, by a reader of CSV that is not ours: what they hold is drawn where it belongs, and is in the results.
+fn check_tables(test: &str, dir: &Path) {
+    let script = crate::common::root().join("tests/python/check_figures.py");
+    let Ok(output) = std::process::Command::new("python3").arg(script).arg(dir).output() else {
+        return println!("skipped: {test}: no python3 to read the tables of the charts");
+    };
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
 /// The whole page as an image, for people.
 fn screenshot(browser: &mut Browser, to: &Path) {
     let height = browser.evaluate("document.documentElement.scrollHeight").as_f64().unwrap();
@@ -113,12 +122,13 @@ fn the_page_of_a_run_opens_offline_and_its_views_turn_under_the_mouse() {
         bibliography.contains("@article{chen1992") && !bibliography.contains("segal2009"),
         "what was used: {bibliography}"
     );
-    for figure in fs::read_dir(run.join("figures")).unwrap() {
-        let path = figure.unwrap().path();
+    let drawings = fs::read_dir(run.join("figures")).unwrap().map(|figure| figure.unwrap().path());
+    for path in drawings.filter(|path| path.extension().is_some_and(|end| end == "svg")) {
         let text = fs::read_to_string(&path).unwrap();
         roxmltree::Document::parse(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
         assert!(!text.contains("NaN"), "{}", path.display());
     }
+    check_tables("the_page_of_a_run_opens_offline_and_its_views_turn_under_the_mouse", &run);
 
     let Some(mut browser) = Browser::start("the_page_of_a_run_opens_offline_and_its_views_turn_under_the_mouse") else {
         return;
@@ -296,6 +306,7 @@ fn the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn() 
     let scatter = fs::read_to_string(out.join("figures/scatter-tre_z_mm-gate_mm.svg")).unwrap();
     roxmltree::Document::parse(&scatter).unwrap();
     assert_eq!(scatter.matches("<g transform=\"translate(0 ").count(), 2, "a panel for each kind of ICP");
+    check_tables("the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn", &out);
     let Some(mut browser) =
         Browser::start("the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn")
     else {
@@ -500,6 +511,7 @@ fn the_tables_of_a_sweep_have_the_units_of_each_column_the_sd_within_them_and_re
         "mean of first",
         "mean of second",
         "difference",
+        "95 % interval of the difference",
         "95 % limits of agreement",
         "p",
         "p (Holm)",
@@ -630,6 +642,7 @@ fn the_page_of_a_sweep_begins_with_its_statistics_and_nothing_runs_out_of_its_bo
     assert!(html.contains("latest table, by the time of summary.json"), "it has its dates");
     assert!(html.contains("along x (blue), y (orange), z (green)"), "a caption names the colours that are drawn");
     let test = "the_page_of_a_sweep_begins_with_its_statistics_and_nothing_runs_out_of_its_box_at_1440_pixels";
+    check_tables(test, &out);
     let Some(mut browser) = Browser::start(test) else { return };
     browser.open(&page);
     browser.call(
