@@ -79,6 +79,52 @@ fn check_print(browser: &mut Browser, page: &Path) {
     browser.call("Emulation.clearDeviceMetricsOverride", json!({}));
 }
 
+/// What a print shows, read from its PDF: no page is empty, every row of a table and every figure is whole and on one page, and
+/// no text lies over another. `mutants` are rules of style with the fault that each makes.
+///
+/// Stored pictures would be those of one machine's fonts. Each print is compared with its own page instead, and its pictures, which
+/// are made of the boxes of texts and shapes, with those of a print from a small window. On a finer screen letters have other
+/// widths, as with other fonts: its lines break elsewhere, and the faults are looked for once more.
+fn check_layout(browser: &mut Browser, page: &Path, mutants: &[(&str, &str)]) {
+    let print = |browser: &mut Browser, rules: &str| {
+        browser.open(page);
+        let style = format!("<style>@media print {{ {rules} }}</style>");
+        browser.evaluate(&format!("document.head.insertAdjacentHTML('beforeend', '{style}')"));
+        let printed = browser.call("Page.printToPDF", json!({ "preferCSSPageSize": true }));
+        let (script, pdf) = (include_str!("print_layout.js").trim_end(), printed["data"].as_str().unwrap());
+        browser.evaluate(&format!("{script}('{pdf}')"))
+    };
+    let whole = print(browser, "");
+    assert_eq!(whole["faults"], json!([]), "{}", page.display());
+    let [again, finer] = [1, 2].map(|scale| {
+        let small = json!({ "width": 400, "height": 700, "deviceScaleFactor": scale, "mobile": false });
+        browser.call("Emulation.setDeviceMetricsOverride", small);
+        print(browser, "")
+    });
+    browser.call("Emulation.clearDeviceMetricsOverride", json!({}));
+    assert_eq!(finer["faults"], json!([]), "{} on a finer screen", page.display());
+    let [whole, again] = [&whole, &again].map(|print| print["pictures"].as_array().unwrap());
+    assert_eq!(whole.len(), again.len(), "pages of both prints");
+    for (k, (whole, again)) in whole.iter().zip(again).enumerate() {
+        let [whole, again] = [whole, again].map(|picture| picture.as_str().unwrap());
+        assert!(whole == again, "page {}:\n{whole}\nfrom a small window:\n{again}", k + 1);
+    }
+    for (rules, fault) in mutants {
+        let faults = print(browser, rules)["faults"].clone();
+        let is_found = faults.as_array().unwrap().iter().any(|found| found.as_str().unwrap().contains(fault));
+        assert!(is_found, "{rules} is not found: {faults}");
+    }
+}
+
+/// The tables of all charts, by a reader of CSV that is not ours: what they hold is drawn where it belongs, and is in the results.
+fn check_tables(test: &str, dir: &Path) {
+    let script = crate::common::root().join("tests/python/check_figures.py");
+    let Ok(output) = std::process::Command::new("python3").arg(script).arg(dir).output() else {
+        return println!("skipped: {test}: no python3 to read the tables of the charts");
+    };
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
 /// The whole page as an image, for people.
 fn screenshot(browser: &mut Browser, to: &Path) {
     let height = browser.evaluate("document.documentElement.scrollHeight").as_f64().unwrap();
@@ -113,18 +159,21 @@ fn the_page_of_a_run_opens_offline_and_its_views_turn_under_the_mouse() {
         bibliography.contains("@article{chen1992") && !bibliography.contains("segal2009"),
         "what was used: {bibliography}"
     );
-    for figure in fs::read_dir(run.join("figures")).unwrap() {
-        let path = figure.unwrap().path();
+    let drawings = fs::read_dir(run.join("figures")).unwrap().map(|figure| figure.unwrap().path());
+    for path in drawings.filter(|path| path.extension().is_some_and(|end| end == "svg")) {
         let text = fs::read_to_string(&path).unwrap();
         roxmltree::Document::parse(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
         assert!(!text.contains("NaN"), "{}", path.display());
     }
+    check_tables("the_page_of_a_run_opens_offline_and_its_views_turn_under_the_mouse", &run);
 
     let Some(mut browser) = Browser::start("the_page_of_a_run_opens_offline_and_its_views_turn_under_the_mouse") else {
         return;
     };
     check_page(&mut browser, &page, 5);
     check_print(&mut browser, &page);
+    let cut = ("figure { break-inside: auto !important }", "a figure is not on one page");
+    check_layout(&mut browser, &page, &[cut]);
     browser.open(&page);
     let shown = browser.evaluate("[...document.querySelectorAll('.missing')].map((p) => p.textContent)");
     assert_eq!(shown, json!([]), "everything is recorded by the shipped graph");
@@ -296,6 +345,7 @@ fn the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn() 
     let scatter = fs::read_to_string(out.join("figures/scatter-tre_z_mm-gate_mm.svg")).unwrap();
     roxmltree::Document::parse(&scatter).unwrap();
     assert_eq!(scatter.matches("<g transform=\"translate(0 ").count(), 2, "a panel for each kind of ICP");
+    check_tables("the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn", &out);
     let Some(mut browser) =
         Browser::start("the_page_of_a_sweep_shows_boxes_by_setting_and_a_scatter_of_what_was_drawn")
     else {
@@ -500,6 +550,7 @@ fn the_tables_of_a_sweep_have_the_units_of_each_column_the_sd_within_them_and_re
         "mean of first",
         "mean of second",
         "difference",
+        "95 % interval of the difference",
         "95 % limits of agreement",
         "p",
         "p (Holm)",
@@ -630,6 +681,7 @@ fn the_page_of_a_sweep_begins_with_its_statistics_and_nothing_runs_out_of_its_bo
     assert!(html.contains("latest table, by the time of summary.json"), "it has its dates");
     assert!(html.contains("along x (blue), y (orange), z (green)"), "a caption names the colours that are drawn");
     let test = "the_page_of_a_sweep_begins_with_its_statistics_and_nothing_runs_out_of_its_box_at_1440_pixels";
+    check_tables(test, &out);
     let Some(mut browser) = Browser::start(test) else { return };
     browser.open(&page);
     browser.call(
@@ -656,6 +708,15 @@ fn the_page_of_a_sweep_begins_with_its_statistics_and_nothing_runs_out_of_its_bo
     assert!(says.contains(&[true, true]) && says.contains(&[false, false]), "{says:?}");
     assert!(says.iter().all(|[scrolls, says]| scrolls == says), "{says:?}");
     check_print(&mut browser, &page);
+    let mutants = [
+        ("td:nth-child(4), th:nth-child(4) { display: none }", "a row is not on one page"),
+        (".wide { overflow: hidden !important; max-width: 100mm }", "a row is not on one page"),
+        (".wide table { margin-left: -5mm !important }", "a row is not on one page"),
+        ("table { line-height: 0.6 !important }", " lies over "),
+        ("figcaption { margin-top: -9mm }", " lies over "),
+        ("main::after { content: \"\"; display: block; height: 20mm; break-before: page }", " is empty"),
+    ];
+    check_layout(&mut browser, &page, &mutants);
     assert!(out.join("figures/difference-1-tre_mm.svg").is_file(), "a figure of the differences");
     let words = table(&mut browser, "stopped: runs with each word");
     assert!(words.len() == 5 && words.iter().any(|row| row[2] == "2"), "two runs of each of four settings: {words:?}");

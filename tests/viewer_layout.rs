@@ -64,6 +64,6 @@ fn page_and_report_can_be_read_and_hit_from_360_to_2560_pixels_light_and_dark() 
     let began = manifest["began"].as_str().unwrap();
     let date = format!("{} {} UTC", &began[..10], &began[11..16]);
     assert!(html.contains(&date), "no {date}");
-    assert!(html.contains("<th scope=\"col\" class=\"n\">tilt deg</th>"), "angles are in degrees");
+    assert!(html.contains("<th scope=\"col\" class=\"n\">tilt (\u{b0})</th>"), "angles are in degrees");
     assert!(all.is_empty(), "{} faults:\n{}", all.len(), all[..all.len().min(40)].join("\n"));
 }

@@ -12,8 +12,8 @@ use std::{
 
 /// Write an HTML page about a run or a sweep: figures, 3D views, tables, methods, provenance.
 ///
-/// The page opens without a network. Its figures and a drawing of each view (figures/*.svg) and the literature of the nodes
-/// (citations.bib) are written beside it. The page of a run shows its recorded wires and lists those that were not recorded.
+/// The page opens without a network. Its figures and a drawing of each view (figures/*.svg), the numbers of each chart
+/// (figures/*.csv) and the literature of the nodes (citations.bib) are written beside it. The page of a run shows its recorded wires and lists those that were not recorded.
 /// For the page of a sweep two runs are repeated, because its folder holds no surfaces.
 #[derive(Debug, Args)]
 #[command(after_help = "\

@@ -82,13 +82,34 @@ impl Mark {
     /// The places that the axes must reach.
     fn places(&self) -> Vec<(f64, f64)> {
         match self {
-            Self::Line(points) | Self::Reach(points) => points.clone(),
-            Self::Band(points) => points.iter().flat_map(|(x, low, high)| [(*x, *low), (*x, *high)]).collect(),
-            Self::Dots(points) => points.iter().map(|(x, y, _)| (*x, *y)).collect(),
+            Self::Reach(points) => points.clone(),
             Self::Box(at, width, tukey) => {
                 let values = tukey.values.iter().chain(&tukey.whiskers);
                 values.flat_map(|value| [(at - width, *value), (at + width, *value)]).collect()
             }
+            mark => mark.numbers().into_iter().map(|(_, x, y, _)| (x, y)).collect(),
+        }
+    }
+
+    /// The numbers that it draws: what it is, the place along x, the value along y, and the tooltip.
+    fn numbers(&self) -> Vec<(&'static str, f64, f64, String)> {
+        let number = |what, (x, y): (f64, f64)| (what, x, y, String::new());
+        match self {
+            Self::Line(points) => points.iter().map(|at| number("line", *at)).collect(),
+            Self::Band(points) => {
+                let ends =
+                    points.iter().map(|(x, low, high)| [("lower bound", (*x, *low)), ("upper bound", (*x, *high))]);
+                ends.flatten().map(|(end, at)| number(end, at)).collect()
+            }
+            Self::Dots(points) => points.iter().map(|(x, y, tip)| ("dot", *x, *y, tip.clone())).collect(),
+            Self::Box(at, _, tukey) => {
+                let Tukey { median, quartiles: [q1, q3], whiskers: [low, high], values } = tukey;
+                let parts = ["lower whisker", "quartile 1", "median", "quartile 3", "upper whisker"].into_iter();
+                let parts = parts.zip([low, q1, median, q3, high]);
+                let parts = parts.map(|(part, value)| (part, *at, *value, format!("n = {}", values.len())));
+                parts.chain(tukey.drawn().map(|value| number("dot", (*at, value)))).collect()
+            }
+            Self::Reach(_) => Vec::new(),
         }
     }
 }
@@ -171,12 +192,6 @@ pub(crate) struct Chart {
 }
 
 impl Chart {
-    /// Draws the chart as a complete SVG file.
-    pub(crate) fn svg(&self, simulated: bool) -> String {
-        let (inside, height) = self.inside(HEIGHT, simulated);
-        whole(&self.title, &self.about, &inside, height)
-    }
-
     /// The elements of the chart with the plot's bottom at `bottom`, and its height.
     fn inside(&self, bottom: f64, simulated: bool) -> (String, f64) {
         let (across, along): (Vec<f64>, Vec<f64>) = self.places().into_iter().unzip();
@@ -301,24 +316,49 @@ pub(crate) fn share_axes(charts: &mut [Chart]) {
 }
 
 /// Draws charts below one another as one SVG file.
-pub(crate) fn panels(title: &str, about: &str, charts: &[Chart], simulated: bool) -> String {
-    let (mut all, mut below) = (String::new(), 0.0);
+pub(crate) fn svg(charts: &[Chart], simulated: bool) -> String {
+    let plot = if charts.len() == 1 { HEIGHT } else { PANEL };
+    let (mut inside, mut height) = (String::new(), 0.0);
     for chart in charts {
-        let (inside, height) = chart.inside(PANEL, simulated);
-        let _ = writeln!(all, "<g transform=\"translate(0 {below:.0})\">\n{inside}</g>");
-        below += height.round();
+        let (panel, below) = chart.inside(plot, simulated);
+        let _ = writeln!(inside, "<g transform=\"translate(0 {height:.0})\">\n{panel}</g>");
+        height += below.round();
     }
-    whole(title, about, &all, below)
-}
-
-fn whole(title: &str, about: &str, inside: &str, height: f64) -> String {
+    let titles: Vec<&str> = charts.iter().map(|chart| chart.title.as_str()).collect();
     format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"chart\" width=\"{WIDTH}\" height=\"{height:.0}\" \
          viewBox=\"0 0 {WIDTH} {height:.0}\" role=\"img\">\n<title>{}</title>\n<desc>{}</desc>\n<style>{STYLE}</style>\n\
          <rect class=\"paper\" width=\"{WIDTH}\" height=\"{height:.0}\"/>\n{inside}</svg>\n",
-        escape(title),
-        escape(about)
+        escape(&titles.join("; ")),
+        escape(charts.first().map_or("", |chart| &chart.about))
     )
+}
+
+/// Beginning of the heads of every table of the numbers of charts.
+pub(crate) const NUMBERS: [&str; 4] = ["panel", "series", "mark", "tooltip"];
+
+/// The numbers that charts draw, in full precision: a row for each number along y, a column for each axis with its unit.
+pub(crate) fn csv(charts: &[Chart]) -> String {
+    let labels = charts.iter().map(|chart| chart.x.label()).chain(charts.iter().map(|chart| chart.y.label()));
+    let mut heads: Vec<&str> = labels.collect();
+    heads.dedup();
+    let mut rows = vec![NUMBERS.into_iter().chain(heads.iter().copied()).map(String::from).collect::<Vec<_>>()];
+    for (chart, series) in charts.iter().flat_map(|chart| chart.series.iter().map(move |series| (chart, series))) {
+        rows.extend(series.marks.iter().flat_map(Mark::numbers).map(|(mark, x, y, tooltip)| {
+            let category = chart.x.categories().get(x.round() as usize);
+            let cell = |head: &&str| match *head {
+                head if head == chart.y.label() => y.to_string(),
+                head if head == chart.x.label() => category.map_or_else(|| x.to_string(), Clone::clone),
+                _ => String::new(),
+            };
+            let names = [&*chart.title, &*series.name, mark, &*tooltip].map(String::from);
+            names.into_iter().chain(heads.iter().map(cell)).collect()
+        }));
+    }
+    let mut table = csv::Writer::from_writer(Vec::new());
+    // Nothing fails in memory.
+    let _ = rows.iter().try_for_each(|row| table.write_record(row));
+    String::from_utf8(table.into_inner().unwrap_or_default()).unwrap_or_default()
 }
 
 fn draw_mark(out: &mut String, mark: &Mark, colour: usize, x: &axis::Scale, y: &axis::Scale) {
@@ -415,7 +455,7 @@ mod tests {
             }],
             note: String::new(),
         };
-        let svg = chart.svg(true);
+        let svg = svg(&[chart], true);
         let read = roxmltree::Document::parse(&svg).unwrap();
         let mut n_aslant = 0;
         for node in read.descendants().filter(|node| node.has_tag_name("text")) {
@@ -438,6 +478,42 @@ mod tests {
     }
 
     #[test]
+    fn a_table_of_charts_has_every_number_that_is_drawn_under_the_label_of_its_axis() {
+        let chart = |title: &str, x: Axis, marks: Vec<Mark>| Chart {
+            title: title.into(),
+            about: String::new(),
+            x,
+            y: Axis::Linear("TRE (mm)".into()),
+            series: vec![Series { name: "a, \"b\"".into(), colour: 0, marks }],
+            note: String::new(),
+        };
+        let names = Axis::Categories { label: "axis".into(), names: vec!["x".into(), "z".into()] };
+        let values: Vec<f64> = (0..30).map(f64::from).chain([1000.0]).collect();
+        let lines = vec![
+            Mark::Band(vec![(0.1, 0.2, 1.0 / 3.0)]),
+            Mark::Line(vec![(1e-7, -2.0)]),
+            Mark::Dots(vec![(2.0, 5.0, "run 3".into())]),
+            Mark::Reach(vec![(9.0, 9.0)]),
+        ];
+        let charts = [
+            chart("one", names, vec![Mark::Box(1.2, 0.3, Tukey::of(&values).unwrap())]),
+            chart("two", Axis::Log("noise (mm)".into()), lines),
+        ];
+        let expected = "panel,series,mark,tooltip,axis,noise (mm),TRE (mm)\n\
+                        one,\"a, \"\"b\"\"\",lower whisker,n = 31,z,,0\n\
+                        one,\"a, \"\"b\"\"\",quartile 1,n = 31,z,,7.5\n\
+                        one,\"a, \"\"b\"\"\",median,n = 31,z,,15\n\
+                        one,\"a, \"\"b\"\"\",quartile 3,n = 31,z,,22.5\n\
+                        one,\"a, \"\"b\"\"\",upper whisker,n = 31,z,,29\n\
+                        one,\"a, \"\"b\"\"\",dot,,z,,1000\n\
+                        two,\"a, \"\"b\"\"\",lower bound,,,0.1,0.2\n\
+                        two,\"a, \"\"b\"\"\",upper bound,,,0.1,0.3333333333333333\n\
+                        two,\"a, \"\"b\"\"\",line,,,0.0000001,-2\n\
+                        two,\"a, \"\"b\"\"\",dot,run 3,,2,5\n";
+        assert_eq!(csv(&charts), expected);
+    }
+
+    #[test]
     fn a_chart_is_sound_markup_and_says_what_it_is() {
         let chart = Chart {
             title: "a < b & c".into(),
@@ -456,7 +532,7 @@ mod tests {
             }],
             note: String::new(),
         };
-        let svg = chart.svg(true);
+        let svg = svg(&[chart], true);
         let read = roxmltree::Document::parse(&svg).unwrap();
         let words: Vec<_> = read.descendants().filter_map(|node| node.text()).collect();
         for word in ["a < b & c", "TRE (mm)", "setting", "<b>", "SIMULATED \u{b7} research use only"] {

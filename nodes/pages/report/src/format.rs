@@ -2,17 +2,27 @@
 
 /// Formats a number: integers in full, others with three or four significant digits.
 pub(crate) fn number(value: f64) -> String {
-    let size = value.abs();
-    let text = match size {
-        _ if !value.is_finite() => return "\u{2013}".into(),
-        s if s == s.trunc() && s < 1e15 => format!("{size:.0}"),
-        s if s >= 100.0 => format!("{size:.1}"),
-        s if s >= 10.0 => format!("{size:.2}"),
-        s if s >= 0.001 => format!("{size:.3}"),
-        _ => format!("{size:.2e}"),
-    };
-    let sign = if value < 0.0 && text.bytes().any(|b| (b'1'..=b'9').contains(&b)) { "\u{2212}" } else { "" };
-    format!("{sign}{text}")
+    let [text] = numbers([value]);
+    text
+}
+
+/// Formats numbers that stand beside each other, with the decimals of the greatest.
+pub(crate) fn numbers<const N: usize>(values: [f64; N]) -> [String; N] {
+    let greatest = values.iter().fold(0.0, |greatest: f64, value| greatest.max(value.abs()));
+    let are_whole = greatest < 1e15 && values.iter().all(|value| *value == value.trunc());
+    values.map(|value| {
+        let size = value.abs();
+        let text = match greatest {
+            _ if !value.is_finite() => return "\u{2013}".into(),
+            _ if are_whole || size == 0.0 && greatest < 0.001 => format!("{size:.0}"),
+            s if s >= 100.0 => format!("{size:.1}"),
+            s if s >= 10.0 => format!("{size:.2}"),
+            s if s >= 0.001 => format!("{size:.3}"),
+            _ => format!("{size:.2e}"),
+        };
+        let sign = if value < 0.0 && text.bytes().any(|b| (b'1'..=b'9').contains(&b)) { "\u{2212}" } else { "" };
+        format!("{sign}{text}")
+    })
 }
 
 /// Formats a duration given in milliseconds, with three significant digits, in the unit from ns to s that suits it.
@@ -58,6 +68,22 @@ mod tests {
         let texts: Vec<_> = [0.0, 20000.0, -0.02446, 3.2e-12, 0.1234, 12.345, 333.567, f64::NAN].map(number).into();
         let expected = ["0", "20000", "\u{2212}0.024", "3.20e-12", "0.123", "12.35", "333.6", "\u{2013}"];
         assert_eq!(texts, expected);
+    }
+
+    #[test]
+    fn ends_of_an_interval_have_the_same_decimals() {
+        for (ends, expected) in [
+            ([3.12e-4, 0.089], ["0.000", "0.089"]),
+            ([-3.12e-4, 0.089], ["0.000", "0.089"]),
+            ([-0.375, 1.0], ["\u{2212}0.375", "1.000"]),
+            ([9.5, 12.345], ["9.50", "12.35"]),
+            ([34.24, 100.0], ["34.2", "100.0"]),
+            ([30.0, 95.0], ["30", "95"]),
+            ([0.0, 2e-5], ["0", "2.00e-5"]),
+            ([0.1, f64::NAN], ["0.100", "\u{2013}"]),
+        ] {
+            assert_eq!(numbers(ends), expected, "{ends:?}");
+        }
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use crate::{
     cell::Cell,
-    chart::RESEARCH,
+    chart::{self, Chart, RESEARCH},
     format::number,
     modules,
     paths::Paths,
@@ -26,6 +26,8 @@ pub struct Figure {
     pub name: String,
     /// The SVG text.
     pub svg: String,
+    /// The numbers of a chart as CSV; empty for other drawings.
+    pub csv: String,
 }
 
 /// Number of assumptions that are shown at once, as by `osteoflow run`.
@@ -209,7 +211,18 @@ impl Page {
             escape(caption),
             self.words()
         );
-        self.figures.push(Figure { name: name.into(), svg });
+        self.figures.push(Figure { name: name.into(), svg, csv: String::new() });
+    }
+
+    /// Charts below one another as one figure, which is also written as a file, as are their numbers.
+    pub(crate) fn charts(&mut self, name: &str, charts: &[Chart], caption: &str) {
+        self.figure(name, chart::svg(charts, self.simulated), caption);
+        // Paths are hidden as they stand in HTML.
+        let hidden = self.paths.hidden(&escape(&chart::csv(charts)));
+        let entities = [("&quot;", "\""), ("&lt;", "<"), ("&gt;", ">"), ("&amp;", "&")];
+        let csv = entities.iter().fold(hidden, |csv, (entity, of)| csv.replace(entity, of));
+        let figure = self.figures.pop();
+        self.figures.extend(figure.map(|figure| Figure { csv, ..figure }));
     }
 
     /// Adds data that views share, once, and returns its name.
@@ -228,7 +241,7 @@ impl Page {
         let instead = format!("figures/{name}.svg shows the view from one side.");
         let shown = View { aspect: scene.aspect, legend: scene.legend_html(), instead, has_sides: false };
         self.view_box(&shown, scene.json(), caption);
-        self.figures.push(Figure { name, svg: scene.svg(caption, self.simulated) });
+        self.figures.push(Figure { name, svg: scene.svg(caption, self.simulated), csv: String::new() });
     }
 
     /// What the live page shows of the run; `drawing` is its drawing on paper.
@@ -239,7 +252,8 @@ impl Page {
         };
         self.view_box(&View { aspect: 1.6, legend, instead, has_sides: true }, json!({ "picture": picture }), caption);
         if let Some((name, scene)) = drawing {
-            self.figures.push(Figure { name: format!("{VIEW}{name}"), svg: scene.svg(caption, self.simulated) });
+            let svg = scene.svg(caption, self.simulated);
+            self.figures.push(Figure { name: format!("{VIEW}{name}"), svg, csv: String::new() });
         }
     }
 
@@ -411,6 +425,26 @@ mod tests {
         let text = html.replace("<wbr>", "");
         assert!(text.contains("<td>scan.ply</td><td><code>read scan.ply</code>"), "{text}");
         assert!(!text.contains("jane_doe") && !text.contains("left_leg"), "{text}");
+    }
+
+    #[test]
+    fn a_path_in_the_table_of_a_chart_is_hidden_and_what_is_escaped_in_html_stands_as_it_is() {
+        let mut page = Page::new("", false);
+        page.hide(Paths::of(&json!({ "file": "/home/jane & john/scan.ply" }), std::path::Path::new("run")));
+        page.charts(
+            "a",
+            &[Chart {
+                title: "a < b & \"c\" &lt;".into(),
+                about: String::new(),
+                x: chart::Axis::Categories { label: "file".into(), names: vec!["/home/jane & john/scan.ply".into()] },
+                y: chart::Axis::Linear("TRE (mm)".into()),
+                series: vec![chart::Series::unnamed(0, vec![chart::Mark::Line(vec![(0.0, 0.5)])])],
+                note: String::new(),
+            }],
+            "",
+        );
+        let csv = &page.finish("").1[0].csv;
+        assert_eq!(csv, "panel,series,mark,tooltip,file,TRE (mm)\n\"a < b & \"\"c\"\" &lt;\",,line,,scan.ply,0.5\n");
     }
 
     #[test]

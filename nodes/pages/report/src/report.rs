@@ -1,6 +1,7 @@
 //! A report, and the files that it is written to.
 
 use crate::{
+    chart::NUMBERS,
     error::ReportError,
     html::{Figure, VIEW},
 };
@@ -48,6 +49,14 @@ impl Report {
             // Names come from graphs: no separator may lead out of the folder.
             let name = figure.name.replace(['/', '\\'], "_");
             to(&figures.join(format!("{name}.svg")), &figure.svg)?;
+            let (table, head) = (figures.join(format!("{name}.csv")), NUMBERS.join(","));
+            if table.exists() && !fs::read(&table).map_err(failed)?.starts_with(head.as_bytes()) {
+                let why = format!("{name}.csv does not begin with {head}, so no report wrote it; move it or rename it");
+                return Err(failed(io::Error::other(why)));
+            }
+            if !figure.csv.is_empty() {
+                to(&table, &figure.csv)?;
+            }
         }
         self.remove_stale(&figures)?;
         to(&dir.join(BIBLIOGRAPHY), &self.bibliography)?;
@@ -79,7 +88,7 @@ mod tests {
         let figures = dir.path().join(FIGURES);
         let report = |name: &str| Report {
             html: String::new(),
-            figures: vec![Figure { name: name.into(), svg: String::new() }],
+            figures: vec![Figure { name: name.into(), svg: String::new(), csv: format!("{},x\n", NUMBERS.join(",")) }],
             bibliography: String::new(),
             fault: None,
         };
@@ -88,5 +97,11 @@ mod tests {
         report("view-fragment-run-8").write(dir.path(), &dir.path().join(PAGE)).unwrap();
         let left = |name: &str| figures.join(name).is_file();
         assert!(left("view-fragment-run-8.svg") && left("mine.svg") && !left("view-fragment-run-7.svg"));
+        let table = figures.join("view-fragment-run-8.csv");
+        report("view-fragment-run-8").write(dir.path(), &dir.path().join(PAGE)).unwrap();
+        fs::write(&table, "run,tre_mm\n1,0.5\n").unwrap();
+        let error = report("view-fragment-run-8").write(dir.path(), &dir.path().join(PAGE)).unwrap_err().to_string();
+        assert!(error.contains("view-fragment-run-8.csv does not begin with panel,"), "{error}");
+        assert_eq!(fs::read_to_string(&table).unwrap(), "run,tre_mm\n1,0.5\n", "a table of the user stays");
     }
 }

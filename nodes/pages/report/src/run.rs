@@ -153,7 +153,7 @@ fn convergence(page: &mut Page, run: &RunFolder) {
         "Residual of the pairs and largest movement in each of the {} iterations of {node}.{stopped}",
         trace.steps.len()
     );
-    page.figure("convergence", chart.svg(page.simulated()), &caption);
+    page.charts("convergence", &[chart], &caption);
 }
 
 /// The inputs of every fine registration, and of what refines one.

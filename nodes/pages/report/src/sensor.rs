@@ -64,5 +64,5 @@ pub fn of_sensor(errors: &SensorErrors, scans: &[(&str, &ScanErrors)], profile: 
 fn draw(page: &mut Page, title: &str, [x, y]: [&str; 2], series: Vec<Series>) {
     let (x, y) = (Axis::Linear(x.into()), Axis::Linear(y.into()));
     let chart = Chart { title: title.into(), about: title.into(), x, y, series, note: String::new() };
-    page.figure(title, chart.svg(false), title);
+    page.charts(title, &[chart], title);
 }

@@ -1,6 +1,6 @@
 //! Tables of arbitrary JSON results.
 
-use crate::{cell::Cell, degrees::in_degrees, format::number, html::Page};
+use crate::{cell::Cell, chart::axis_label, degrees::in_degrees, format::number, html::Page};
 use nalgebra::{Isometry3, Matrix4};
 use osteoflow_geometry::isometry_from_matrix;
 use serde::Deserialize;
@@ -44,7 +44,7 @@ pub(crate) fn results(page: &mut Page, results: &Json) {
         let title = format!("Poses ({})", tables.poses.len());
         let caption = "Every pose t_to_from by its path in results.json: the position of the origin of one frame in the other, \
                        and the rotation between their axes.";
-        let head = ["pose", "to", "from", "x (mm)", "y (mm)", "z (mm)", "rotation (deg)", "about"];
+        let head = ["pose", "to", "from", "x (mm)", "y (mm)", "z (mm)", "rotation (\u{b0})", "about"];
         page.folded_table(&title, caption, &head, &tables.poses);
     }
     let title = format!("All single results ({})", tables.singles.len());
@@ -143,7 +143,7 @@ pub(crate) fn objects(page: &mut Page, caption: &str, items: &[Map<String, Json>
         }
     }
     keys.retain(|key| items.iter().any(|item| item.get(*key).is_some_and(|value| !value.is_null())));
-    let head: Vec<String> = keys.iter().map(|key| key.replace('_', " ")).collect();
+    let head: Vec<String> = keys.iter().map(|key| axis_label(key)).collect();
     let row =
         |item: &Map<String, Json>| keys.iter().map(|key| Cell::of(item.get(*key).unwrap_or(&Json::Null))).collect();
     let rows: Vec<Vec<Cell>> = items.iter().take(MAX_ROWS).map(row).collect();
@@ -184,7 +184,7 @@ mod tests {
             html[end..].split("</table>").next().unwrap().to_owned()
         };
         let planes = table("planes");
-        for text in ["origin mm", "10.5", "normal", "plane_2", "lost"] {
+        for text in ["origin (mm)", "10.5", "normal", "plane_2", "lost"] {
             assert!(planes.contains(text), "{text} is missing:\n{planes}");
         }
         let holes = table("holes");
@@ -209,7 +209,7 @@ mod tests {
             }),
         );
         let html = page.finish("").0.replace("<wbr>", "");
-        for text in ["tilt deg", ">90<", "step_deg", "turned_deg", "180", "0.5"] {
+        for text in ["tilt (\u{b0})", ">90<", "step_deg", "turned_deg", "180", "0.5"] {
             assert!(html.contains(text), "{text} is missing:\n{html}");
         }
         assert!(!html.contains("rad<") && !html.contains("_rad"), "{html}");

@@ -1,7 +1,7 @@
 //! The slide profile: the residual along the bone and around it.
 
 use crate::{
-    chart::{Axis, Chart, Mark, Series, panels},
+    chart::{Axis, Chart, Mark, Series},
     format::number,
     html::Page,
     run_folder::RunFolder,
@@ -33,13 +33,12 @@ fn draw(page: &mut Page, report: &SlideReport) {
         panel("Along the bone", "mm", &report.along, 1.0),
         panel("Around the bone", "\u{b0}", &report.around, 1_f64.to_radians()),
     ];
-    let svg = panels("The slide profile", "The residual along the bone and around it.", &charts, page.simulated());
     let caption = format!(
         "The residual along the bone and around it, with the other five motions fitted at each offset. Dots: where it cannot be \
          told from the result. {}.",
         report.modes.join("; ")
     );
-    page.figure("slide", svg, &caption);
+    page.charts("slide", &charts, &caption);
 }
 
 /// The profile, and the part of it that cannot be told from the result.

@@ -165,11 +165,10 @@ fn histogram(page: &mut Page, values: &[f64]) {
         series: vec![Series::unnamed(0, vec![Mark::Band(band), Mark::Line(steps)])],
         note: format!("n = {} points", values.len()),
     };
-    page.figure(
-        "residuals",
-        chart.svg(page.simulated()),
-        "Distribution of the distances of the scan's points from the CT surface.",
-    );
+    let n = values.len();
+    let caption =
+        format!("Distribution of the signed distances of the scan's points from the CT surface: n = {n} points.");
+    page.charts("residuals", &[chart], &caption);
 }
 
 /// The assessment points as registered and as measured. Of refused results, only the errors are shown.
@@ -280,8 +279,8 @@ fn errors(page: &mut Page, report: &TreReport, name: &str, source: &str) {
          it is, signed, along the axes of the bone, and the norm. A dot is a point, a bar the mean.",
         report.n
     );
-    page.figure(&format!("tre-{name}"), chart.svg(page.simulated()), &caption);
-    let head = ["point", "x mm", "y mm", "z mm", "norm mm"];
+    page.charts(&format!("tre-{name}"), &[chart], &caption);
+    let head = ["point", "x (mm)", "y (mm)", "z (mm)", "norm (mm)"];
     let numbers = |values: [f64; 4]| values.map(Cell::Number);
     let row = |name: &str, values| [Cell::word(name)].into_iter().chain(numbers(values)).collect::<Vec<_>>();
     let mut rows: Vec<_> = report.points.iter().map(|p| row(&p.name, [p.x, p.y, p.z, p.norm])).collect();
@@ -328,7 +327,7 @@ pub(super) fn cuts(page: &mut Page, run: &RunFolder) {
     }
     scene.key(BLUE, "planned");
     scene.key(ORANGE, "executed according to the registration");
-    let caption = "Planned cuts (blue) and the cuts that the registration leads to (red), on the CT surface: each planned \
+    let caption = "Planned cuts (blue) and the cuts that the registration leads to (orange), on the CT surface: each planned \
                    plane is carried to the world by the registration and back by the true pose. Nothing was cut.";
     page.view("cuts", &scene, caption);
     let report =
@@ -340,7 +339,7 @@ pub(super) fn cuts(page: &mut Page, run: &RunFolder) {
 }
 
 fn cut_table(page: &mut Page, report: &CutsReport) {
-    let head = ["plane", "offset mm", "tilt \u{b0}", "roll \u{b0}"];
+    let head = ["plane", "offset (mm)", "tilt (\u{b0})", "roll (\u{b0})"];
     let row = |cut: &CutReport| {
         let numbers = [cut.offset_mm, cut.tilt_rad.to_degrees(), cut.roll_rad.to_degrees()].map(Cell::Number);
         [Cell::word(&cut.name)].into_iter().chain(numbers).collect::<Vec<_>>()

@@ -1,7 +1,7 @@
 //! Statistics and comparisons of a summary as rows of tables, for pages and terminals.
 
 use super::word;
-use crate::{cell::Cell, format::number};
+use crate::{cell::Cell, format::numbers};
 use osteoflow_statistics::{FEW_UNITS, counted};
 use serde_json::Value;
 
@@ -134,9 +134,10 @@ fn interval(of: &Value, times: f64) -> String {
     }
 }
 
-/// An interval, with non-breaking spaces.
+/// An interval with non-breaking spaces, and as many decimals at either end.
 pub(crate) fn from_to(low: f64, high: f64) -> String {
-    format!("{}\u{a0}to\u{a0}{}", number(low), number(high))
+    let [low, high] = numbers([low, high]);
+    format!("{low}\u{a0}to\u{a0}{high}")
 }
 
 /// A number, or an empty cell.

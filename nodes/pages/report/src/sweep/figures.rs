@@ -2,7 +2,7 @@
 
 use super::{Setting, SweepResults, label as quoted, number_of, setting_name};
 use crate::{
-    chart::{Axis, COLOURS, Chart, Mark, N_COLOURS, Series, Tukey, axis_label, panels, share_axes},
+    chart::{Axis, COLOURS, Chart, Mark, N_COLOURS, Series, Tukey, axis_label, share_axes},
     degrees::shown_unit,
     format::number,
     html::Page,
@@ -32,9 +32,9 @@ pub(super) fn columns(page: &mut Page, sweep: &SweepResults) {
             page.text(&format!("{} is {} in each of {} runs.", axis_label(&column.name), number(all[0]), all.len()));
             continue;
         }
-        let (svg, caption) = match &layout {
-            Some(layout) => against(page, column, layout),
-            None if settings.len() <= MAX_SETTINGS => side_by_side(page, column, &settings),
+        let (charts, caption) = match &layout {
+            Some(layout) => against(column, layout),
+            None if settings.len() <= MAX_SETTINGS => side_by_side(column, &settings),
             None => {
                 page.missing(
                     &axis_label(&column.name),
@@ -46,7 +46,7 @@ pub(super) fn columns(page: &mut Page, sweep: &SweepResults) {
         let with: Vec<_> = sweep.runs.iter().filter(|run| number_of(run, column).is_some()).collect();
         let of = summary::units_of(&sweep.spec, &with).map_or(Json::Null, |units| summary::levels(&units));
         let caption = format!("{caption} n = {} runs in all, of {}.", all.len(), summary::units(&of));
-        page.figure(&format!("column-{}", column.name), svg, &caption);
+        page.charts(&format!("column-{}", column.name), &charts, &caption);
     }
     if columns.len() > MAX_FIGURES {
         page.text(&format!("{} more columns are in runs.csv.", columns.len() - MAX_FIGURES));
@@ -121,7 +121,7 @@ fn values(setting: &Setting<'_>, column: &Column) -> Vec<f64> {
 }
 
 /// Median and quartiles over the values of a factor, in one chart or in panels with common axes.
-fn against(page: &Page, column: &Column, layout: &Layout<'_>) -> (String, String) {
+fn against(column: &Column, layout: &Layout<'_>) -> (Vec<Chart>, String) {
     let Layout { x: factor, panels: parts, pooled } = layout;
     let series = |lines: &[Line<'_>]| -> Vec<Series> {
         let lines = lines.iter().enumerate();
@@ -145,15 +145,7 @@ fn against(page: &Page, column: &Column, layout: &Layout<'_>) -> (String, String
     if charts.len() > 1 {
         caption += "; the panels share their axes";
     }
-    (drawn(page, &format!("{what} against {label}"), &charts), caption + ".")
-}
-
-/// One chart, or several as panels.
-fn drawn(page: &Page, title: &str, charts: &[Chart]) -> String {
-    match charts {
-        [chart] => chart.svg(page.simulated()),
-        charts => panels(title, charts.first().map_or("", |chart| &chart.about), charts, page.simulated()),
-    }
+    (charts, caption + ".")
 }
 
 /// Median and quartiles of these settings over a factor.
@@ -189,7 +181,7 @@ fn axis(name: &str, values: impl Iterator<Item = f64>) -> Axis {
 }
 
 /// A box for each setting.
-fn side_by_side(page: &Page, column: &Column, settings: &[Setting<'_>]) -> (String, String) {
+fn side_by_side(column: &Column, settings: &[Setting<'_>]) -> (Vec<Chart>, String) {
     let marks = settings.iter().enumerate().filter_map(|(k, setting)| {
         let tukey = Tukey::of(&values(setting, column))?;
         Some(Series::unnamed(0, vec![Mark::Box(k as f64, if settings.len() < 3 { 0.12 } else { 0.3 }, tukey)]))
@@ -203,7 +195,7 @@ fn side_by_side(page: &Page, column: &Column, settings: &[Setting<'_>]) -> (Stri
         note: String::new(),
     };
     let caption = "by setting: median and quartiles, whiskers to the last run within 1.5 interquartile ranges";
-    (chart.svg(page.simulated()), format!("{} of each run, {caption}.", axis_label(&column.name)))
+    (vec![chart], format!("{} of each run, {caption}.", axis_label(&column.name)))
 }
 
 /// Differences of the pairs of each comparison, by the highest unit.
@@ -244,7 +236,7 @@ fn difference(page: &mut Page, sweep: &SweepResults, name: &str, pairs: &Pairs<'
         note: String::new(),
     };
     let caption = format!("{what}: a dot is a pair of runs that differ in nothing else, a bar a mean. n = {n}.");
-    page.figure(name, chart.svg(page.simulated()), &caption);
+    page.charts(name, &[chart], &caption);
 }
 
 /// The factor's name, if only one is varied.
@@ -306,7 +298,7 @@ pub(super) fn points(page: &mut Page, sweep: &SweepResults) {
             axis_label(&measure.name),
             axes.collect::<Vec<_>>().join(", "),
         );
-        page.figure(&format!("points-{}", measure.name), chart.svg(page.simulated()), &caption);
+        page.charts(&format!("points-{}", measure.name), &[chart], &caption);
     }
 }
 
@@ -368,7 +360,7 @@ fn against_time(page: &mut Page, settings: &[Setting<'_>], time: &Column, column
     let chart = Chart { title: title.clone(), about, x, y, series: series.collect(), note: String::new() };
     let n: usize = all.iter().map(Vec::len).sum();
     let caption = format!("{title}, a dot for each run: n = {n} runs. Times are of this machine and its load.");
-    page.figure(&format!("time-{}-{}", time.name, column.name), chart.svg(page.simulated()), &caption);
+    page.charts(&format!("time-{}-{}", time.name, column.name), &[chart], &caption);
 }
 
 /// A panel for each setting, with common axes: in one panel, dots would hide each other.
@@ -428,8 +420,7 @@ fn scatter(page: &mut Page, sweep: &SweepResults, draw: &Draw, column: &Column) 
     if charts.len() > 1 {
         caption += " The panels share their axes.";
     }
-    let svg = drawn(page, &format!("{} against {label}", axis_label(&column.name)), &charts);
-    page.figure(&format!("scatter-{}-{}", column.name, draw.name), svg, &caption);
+    page.charts(&format!("scatter-{}-{}", column.name, draw.name), &charts, &caption);
 }
 
 #[cfg(test)]

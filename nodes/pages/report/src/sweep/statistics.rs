@@ -5,7 +5,7 @@ use crate::{
     cell::Cell,
     chart::axis_label,
     html::Page,
-    summary::{TableRow, about_few, comparison, in_degrees, statistics, word},
+    summary::{TableRow, about_few, comparison, from_to, in_degrees, statistics, word},
 };
 use osteoflow_statistics::counted;
 use serde_json::Value as Json;
@@ -108,12 +108,24 @@ fn compared(of: &Json) -> TableRow {
     let mut row = TableRow::from([("column".into(), Cell::word(axis_label(&word(&of["column"]))))]);
     row.extend(settings(&of["setting"]));
     row.extend([("first", "a"), ("second", "b")].map(|(head, key)| (head.into(), Cell::word(word(&of[key])))));
-    row.extend(comparison(&in_degrees(&word(&of["column"]), of).1));
+    let of = in_degrees(&word(&of["column"]), of).1;
+    let interval = ["low", "high"].map(|end| of["bland_altman"]["bias_interval"][end].as_f64());
+    for (head, cell) in comparison(&of) {
+        let is_difference = head == "difference";
+        row.push(match cell {
+            Cell::Number(p) if head.starts_with("p") && p < 0.001 => (head, Cell::word("< 0.001")),
+            Cell::Number(p) if head.starts_with("p") => (head, Cell::word(format!("{p:.3}"))),
+            cell => (head, cell),
+        });
+        if let (true, [Some(low), Some(high)]) = (is_difference, interval) {
+            row.push(("95 % interval of the difference".into(), Cell::word(from_to(low, high))));
+        }
+    }
     row
 }
 
 fn settings(of: &Json) -> TableRow {
-    of.as_object().into_iter().flatten().map(|(name, value)| (name.clone(), Cell::word(word(value)))).collect()
+    of.as_object().into_iter().flatten().map(|(name, value)| (axis_label(name), Cell::word(word(value)))).collect()
 }
 
 #[cfg(test)]
@@ -189,8 +201,8 @@ mod tests {
             }],
             "comparisons": [{
                 "column": "tre_mm", "a": "p", "b": "q", "n": 4, "unit": "procedure", "mean_difference": -0.02,
-                "wilcoxon": { "p": 0.125, "rank_biserial": 0.2, "w_plus": 6.0 }, "p_holm": 0.25,
-                "bland_altman": { "lower_limit": -0.12, "upper_limit": 0.09, "bias_interval": { "low": 0.0, "high": 1.0 } },
+                "wilcoxon": { "p": 0.125, "rank_biserial": 0.2, "w_plus": 6.0 }, "p_holm": 2.5e-4,
+                "bland_altman": { "lower_limit": -0.12, "upper_limit": 0.09, "bias_interval": { "low": -0.25, "high": 1.0 } },
             }],
             "notes": ["two runs were refused"],
         });
@@ -211,6 +223,9 @@ mod tests {
             "SD within procedures",
             "p (Holm)",
             "\u{2212}0.120\u{a0}to\u{a0}0.090",
+            "95 % interval of the difference",
+            "\u{2212}0.250\u{a0}to\u{a0}1.000",
+            "<td>0.125</td><td>&lt; 0.001</td>",
             "two runs were refused",
             "icp.point_to_plane",
         ] {
