@@ -294,7 +294,7 @@ fn each_exit_code_is_that_of_the_table_in_the_documentation() {
     ];
     let page = fs::read_to_string(root().join("docs/begin/register.md")).unwrap();
     for (code, arguments, meaning, says) in rows {
-        let row = page.lines().find(|line| line.starts_with(&format!("| {code} | "))).unwrap();
+        let row = page.lines().find(|line| line.starts_with(&format!("- {code}: "))).unwrap();
         assert!(row.contains(meaning), "{meaning}: {row}");
         let (found, stderr, answer) = files.register(arguments);
         assert_eq!((found, answer.get("T").is_some()), (Some(code), code == 0), "{arguments}: {stderr}");

@@ -619,7 +619,7 @@ fn a_live_run_shows_what_is_unknown_as_unknown_and_its_planes_once_it_is_trusted
         "run",
         "graphs/variants/fibula_live.toml",
         "--set",
-        "recording.rate=8",
+        "recording.rate=4",
         "--set",
         OF_ANY_AGE,
         "--out",

@@ -374,5 +374,5 @@ def test_the_examples_of_the_page_give_the_tables_of_one_machine(name, needs, sm
     assert (tmp_path / "study/runs.csv").read_bytes() == (alone / "runs.csv").read_bytes()
 
 
-def test_the_page_has_four_examples():
-    assert list(examples()) == ["Dask", "The", "MPI", "Ray"]
+def test_the_page_has_three_examples():
+    assert list(examples()) == ["Dask", "The", "Ray"]
