@@ -76,9 +76,9 @@ fn ends_well(at: &Path, arguments: &[&str]) {
 /// A block of a page of the documentation that holds these words.
 fn block(page: &str, words: &str) -> String {
     let text = fs::read_to_string(root().join(page)).unwrap();
-    let found =
+    let code =
         text.split("```").find(|part| part.contains(words)).map(|part| part.split_once('\n').unwrap().1.to_owned());
-    found.unwrap_or_else(|| panic!("{page} has no block with {words}"))
+    code.unwrap_or_else(|| panic!("{page} has no block with {words}"))
 }
 
 #[test]
@@ -198,9 +198,9 @@ fn an_icp_of_ones_own_in_python_leads_from_an_edit_over_a_sweep_of_two_settings_
                   of = lambda share: [float(row['tre_true_mm']) for row in rows if float(row['method']) == share]; \
                   print(len(rows), wilcoxon(of(0.5), of(1.0)).pvalue)";
     let scipy = Command::new(&folder.1).current_dir(&at).args(["-c", script]).output().unwrap();
-    let said = String::from_utf8_lossy(&scipy.stdout).into_owned();
+    let stdout = String::from_utf8_lossy(&scipy.stdout).into_owned();
     let (n, expected) =
-        said.trim().split_once(' ').unwrap_or_else(|| panic!("{}", String::from_utf8_lossy(&scipy.stderr)));
+        stdout.trim().split_once(' ').unwrap_or_else(|| panic!("{}", String::from_utf8_lossy(&scipy.stderr)));
     let expected: f64 = expected.parse().unwrap();
     let summary = json(&at.join("S/summary.json"));
     let compared =

@@ -205,15 +205,16 @@ fn landmarks_in_another_unit_are_named_with_what_was_seen_and_the_command_that_m
             [("small_bone.csv", "scan.csv", "target"), ("bone.csv", "small_scan.csv", "source")]
         {
             let (code, stderr, _) = files.register(&format!("bone.stl scan.ply --landmarks {target} {source}"));
-            let said = stderr.lines().last().unwrap();
+            let line = stderr.lines().last().unwrap();
             assert_eq!(code, Some(3), "{name}: {stderr}");
-            assert!(said.starts_with("refused: the target points lie ") && said.ends_with(&mends), "{name}: {stderr}");
-            assert!(said.contains(&format!(" mm: are the {side} points in {name}? ")), "{name}: {stderr}");
+            assert!(line.starts_with("refused: the target points lie ") && line.ends_with(&mends), "{name}: {stderr}");
+            assert!(line.contains(&format!(" mm: are the {side} points in {name}? ")), "{name}: {stderr}");
         }
         // Both lists in one unit have equal distances, but lie off the surface.
         let (code, stderr, _) = files.register("bone.stl scan.ply --landmarks small_bone.csv small_scan.csv");
-        let said = format!("{unit_mm} times as large they lie on it: they are in {name}; write them in mm: {mends}");
-        assert!(code == Some(3) && stderr.contains(&said), "{name}: {stderr}");
+        let expected =
+            format!("{unit_mm} times as large they lie on it: they are in {name}; write them in mm: {mends}");
+        assert!(code == Some(3) && stderr.contains(&expected), "{name}: {stderr}");
         // And what the message advises works.
         let mut convert = osteoflow();
         convert.current_dir(files.0.path()).args(["convert", "small_bone.csv", "mended.csv", "--scale"]);

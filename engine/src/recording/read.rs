@@ -266,7 +266,13 @@ pub(crate) struct Gathered {
 
 impl Gathering {
     fn about_the_run<M: RunMessage + DeserializeOwned>(&mut self, data: &[u8]) -> Option<M> {
-        M::read(data).map_err(|fault| self.unreadable.get_or_insert(fault).len()).ok()
+        match M::read(data) {
+            Ok(message) => Some(message),
+            Err(fault) => {
+                self.unreadable.get_or_insert(fault);
+                None
+            }
+        }
     }
 }
 

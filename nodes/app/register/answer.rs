@@ -440,8 +440,7 @@ fn report_warnings(report: &IcpReport, stop: Stop) -> Vec<String> {
         warnings.push(format!("the surfaces leave {motion} undetermined: along it the pose is that of the start"));
     }
     if let Some(left_mm) = report.left_mm.filter(|mm| *mm > LEFT_MM) {
-        let left = format!("it stopped {left_mm:.2} mm from where point_to_plane ends that starts there");
-        warnings.push(format!("{left}; use --method point_to_plane"));
+        warnings.push(format!("point_to_plane would move this result by {left_mm:.2} mm; use --method point_to_plane"));
     }
     warnings
 }

@@ -56,8 +56,8 @@ const README: &str = "\
 
     osteoflow run run.toml
 
-registers the simulated procedure in `data/`: SIMULATED, research use only, not for clinical use. Replace one file after the other
-by yours and run again; what does not fit is refused by name.
+registers the simulated procedure in `data/`: SIMULATED, research use only, not for clinical use. Replace the files
+by yours, all of one procedure, and run again; what does not fit is refused by name.
 
 | File | Content |
 |---|---|

@@ -221,8 +221,9 @@ impl Page {
         let hidden = self.paths.hidden(&escape(&chart::csv(charts)));
         let entities = [("&quot;", "\""), ("&lt;", "<"), ("&gt;", ">"), ("&amp;", "&")];
         let csv = entities.iter().fold(hidden, |csv, (entity, of)| csv.replace(entity, of));
-        let figure = self.figures.pop();
-        self.figures.extend(figure.map(|figure| Figure { csv, ..figure }));
+        if let Some(figure) = self.figures.last_mut() {
+            figure.csv = csv;
+        }
     }
 
     /// Adds data that views share, once, and returns its name.

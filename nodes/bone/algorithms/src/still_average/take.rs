@@ -52,7 +52,7 @@ pub struct TakeMotion {
     /// Where the bone's marker was in the world, if the bone has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bone: Option<BonePose>,
-    /// Where the camera was in the frame that the scan was carried to, if it is known.
+    /// Where the camera was whose marker carried it, in the frame that it was carried to.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera: Option<BonePose>,
 }
@@ -261,10 +261,10 @@ impl TakeMotion {
         Self { bone: t_world_bone_marker.map(BonePose::new), ..self }
     }
 
-    /// While the camera was at this pose in the frame that it is carried to.
+    /// By a camera at this pose.
     #[must_use]
-    pub fn seen_from(self, t_frame_camera: Option<&Isometry3<f64>>) -> Self {
-        Self { camera: t_frame_camera.map(BonePose::new), ..self }
+    pub fn seen_from(self, t_frame_camera: &Isometry3<f64>) -> Self {
+        Self { camera: Some(BonePose::new(t_frame_camera)), ..self }
     }
 
     /// In another frame.
@@ -272,6 +272,7 @@ impl TakeMotion {
     pub fn carried(self, t: &Isometry3<f64>) -> Self {
         let carried = |markers: Vec<MarkerMotion>| markers.into_iter().map(|marker| marker.carried(t)).collect();
         let during = self.during.into_iter().map(carried).collect();
-        Self { markers: carried(self.markers), after: carried(self.after), during, ..self }
+        let camera = self.camera.map(|camera| BonePose::new(&(t * camera.isometry())));
+        Self { markers: carried(self.markers), after: carried(self.after), during, camera, ..self }
     }
 }

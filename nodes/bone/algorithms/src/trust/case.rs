@@ -31,6 +31,8 @@ pub struct Case<'a> {
     pub assessment_on_surface: bool,
     /// The planned cuts; none where cuts are of no concern.
     pub planes: Option<&'a Planes>,
+    /// Whether the camera was calibrated on its marker in the run: by a matrix that is given only what tests it is known.
+    pub is_calibrated: bool,
     /// Where the markers were.
     pub tracking: Option<&'a Tracking>,
     /// Mean error measured with a stylus, mm.
@@ -64,6 +66,7 @@ impl<'a> Case<'a> {
             assessment: &[],
             assessment_on_surface: true,
             planes: None,
+            is_calibrated: false,
             tracking: None,
             measured_tre_mm: None,
             slide: None,

@@ -7,7 +7,7 @@ use crate::axes::largest_first;
 use crate::calibrate::PhantomReport;
 use crate::product::product;
 use crate::sensor::Sensor;
-use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Point3, UnitQuaternion, Vector3, Vector6};
 use osteoflow_geometry::NamedPoint;
 use osteoflow_node_macros::params;
 use rand::RngExt;
@@ -54,10 +54,10 @@ pub struct PredictParams {
     pub print_deg: f64,
     /// Standard deviation, per axis, of the camera's place on its marker, mm, where `t_camera_camera_marker` is given and not calibrated in the
     /// run. 30: unknown, as after an inverted matrix. What the camera's turns between the scan and its landmarks test is left out.
-    #[param(30.0, 0.0..=1000.0)]
+    #[param(30.0, 0.001..=1000.0)]
     pub hand_eye_mm: f64,
     /// Standard deviation of its attitude there about each axis, degrees. 10: unknown.
-    #[param(10.0, 0.0..=180.0)]
+    #[param(10.0, 0.001..=180.0)]
     pub hand_eye_deg: f64,
     /// RMS error of the CT's surface over patches of a centimetre, as stated: how much it may swell or shrink with the
     /// segmentation's threshold. 0.1: a seventh of a voxel of 0.7 mm. It widens only the second interval, as the first has what
@@ -105,8 +105,6 @@ pub struct Tracking {
     pub phantom_marker: Option<Point3<f64>>,
     /// Covariance of the phantom's fit: shift (mm) and turn (rad) about a point.
     pub phantom_fit: Option<(Matrix6<f64>, Point3<f64>)>,
-    /// Whether the camera's place on its marker is given, and not calibrated with a phantom in the run.
-    pub is_given: bool,
 }
 
 impl Tracking {
@@ -118,17 +116,12 @@ impl Tracking {
         let t = &seen.t_target_camera;
         let phantom_fit = calibration.map(|report| {
             let covariance = Matrix6::from_fn(|row, column| report.covariance[row][column]);
-            let mut turn = Matrix6::zeros();
-            let rotation = t.rotation.to_rotation_matrix().into_inner();
-            turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
-            turn.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
-            (turn * covariance * turn.transpose(), t * Point3::from(report.centre_mm))
+            (rotated(&covariance, &t.rotation), t * Point3::from(report.centre_mm))
         });
         Self {
             camera_marker: t * (seen.t_camera_camera_marker * Point3::origin()),
             phantom_marker: seen.t_camera_phantom_marker.map(|marker| t * (marker * Point3::origin())),
             phantom_fit,
-            is_given: seen.t_camera_phantom_marker.is_none() && calibration.is_none(),
         }
     }
 }
@@ -266,6 +259,15 @@ impl Predicted {
         }
         format!("predicted mean error {} (90 %)", sets.join(", "))
     }
+}
+
+/// Covariance of a shift and a turn, in the frame that a rotation leads to.
+pub(super) fn rotated(covariance: &Matrix6<f64>, rotation: &UnitQuaternion<f64>) -> Matrix6<f64> {
+    let rotation = rotation.to_rotation_matrix().into_inner();
+    let mut both = Matrix6::zeros();
+    both.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+    both.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
+    both * covariance * both.transpose()
 }
 
 /// Covariance of a rigid error that acts about `about`, as shift and turn about `centre`.

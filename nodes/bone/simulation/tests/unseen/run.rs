@@ -237,6 +237,7 @@ impl Inputs {
             carried: &carried,
             assessment: &self.assessment.points,
             planes: Some(&self.planes),
+            is_calibrated: true,
             tracking: Some(&tracking),
             ..trust::Case::new(registered)
         };

@@ -82,7 +82,7 @@ impl ToBoneMarker {
         }
         let bone = marker_motion("bone", Carries::Frame, &pose, i.motion.as_ref());
         let take_motion = take_motion.by(bone).during("bone", Carries::Frame, i.cloud.stamp_ns, path.as_ref());
-        let take_motion = take_motion.on_bone(on_bone).carried(&to_bone.isometry).seen_from(cloud.viewpoint.as_ref());
+        let take_motion = take_motion.on_bone(on_bone).carried(&to_bone.isometry);
         Ok(Out { cloud, take_motion, t_world_bone_marker: pose.at(i.cloud.stamp_ns) })
     }
 }

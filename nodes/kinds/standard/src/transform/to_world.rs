@@ -134,7 +134,12 @@ impl ToWorld {
             note_motion("camera", i.motion.as_ref(), &params.tracking, what, "before", ctx);
         }
         let camera = marker_motion("camera", Carries::Data, &i.t_world_camera_marker, i.motion.as_ref());
-        let take_motion = take_motion.by(camera).during("camera", Carries::Data, i.cloud.stamp_ns, i.path.as_ref());
+        let take_motion = take_motion.seen_from(&t_world_camera.isometry).by(camera).during(
+            "camera",
+            Carries::Data,
+            i.cloud.stamp_ns,
+            i.path.as_ref(),
+        );
         Ok(Out { cloud, take_motion, t_world_camera: t_world_camera.at(i.cloud.stamp_ns) })
     }
 }

@@ -237,6 +237,7 @@ impl Registration {
             assessment: &assessment,
             assessment_on_surface: params.assessment_on_surface,
             planes: i.planes.as_ref(),
+            is_calibrated: i.calibration.is_some() || i.t_camera_phantom_marker.is_some(),
             tracking: tracking.as_ref(),
             measured_tre_mm: i.measured.as_ref().map(|report| report.mean_abs.norm),
             slide: i.slide.as_ref(),

@@ -27,7 +27,6 @@ fn tracking() -> Tracking {
         camera_marker: Point3::new(-150.0, 40.0, 300.0),
         phantom_marker: Some(Point3::new(80.0, -30.0, 90.0)),
         phantom_fit: Some((diagonal([0.02, 0.03, 0.01, 1e-4, 2e-4, 3e-4]), Point3::new(70.0, 0.0, 50.0))),
-        is_given: false,
     }
 }
 

@@ -38,7 +38,6 @@ fn a_verdict_has_the_same_text_and_numbers_as_ever() {
         camera_marker: Point3::new(210.0, 0.0, 60.0),
         phantom_marker: Some(Point3::new(20.0, 30.0, 60.0)),
         phantom_fit: None,
-        is_given: false,
     };
     // Rests short of where it fits, so that every quantity differs from zero.
     let pose = Isometry3::new(Vector3::new(0.1, -0.05, 2.2), Vector3::new(0.0, 0.002, 0.02));
@@ -47,6 +46,7 @@ fn a_verdict_has_the_same_text_and_numbers_as_ever() {
         located: &located,
         assessment: &landmarks,
         planes: Some(&planes),
+        is_calibrated: true,
         tracking: Some(&tracking),
         ..bare(&target, &scan, &pose)
     };
@@ -78,8 +78,7 @@ fn what_is_taken_for_granted_depends_on_what_is_known() {
     let target = Target::new("ct", SurfaceOrigin::User, shaft().vertices().to_vec(), None).unwrap();
     let scan = Cloud::new("scan", vec![Point3::origin(); 3]).unwrap();
     let pose = Isometry3::identity();
-    let tracking =
-        Tracking { camera_marker: Point3::origin(), phantom_marker: None, phantom_fit: None, is_given: false };
+    let tracking = Tracking { camera_marker: Point3::origin(), phantom_marker: None, phantom_fit: None };
     let piece = [NamedPoint::new("working_1", Point3::origin())];
     let check = [check_points(&piece, &piece, &pose, None).unwrap()];
     let bare = bare(&target, &scan, &pose);
