@@ -1,7 +1,7 @@
 //! Pages that a newcomer follows: each command is run in the order of the page, and what the page shows is what it prints. The pictures
 //! are of the pages that a browser shows on the way. `UPDATE=1` writes both.
 
-use crate::common::{browser::Browser, json, page::Page, python::python, root};
+use crate::common::{browser::Browser, json, osteoflow, page::Page, python::python, root};
 use base64::{Engine, prelude::BASE64_STANDARD};
 use serde_json::json;
 use std::{
@@ -98,6 +98,46 @@ fn the_page_of_a_camera_and_a_tracker_of_ones_own_runs_as_it_is_written() {
     let mut page = Page::open("docs/begin/own-camera.md", folder.path(), None);
     let done = page.follow(|_| 0, |_, _, _| {});
     assert!(done.len() >= 4);
+
+    // While all rests, a matrix that is 10 mm off is shown by the stylus alone; without it the answer is doubtful, as is that of the right one.
+    let at = folder.path().join("own");
+    let simulate = ["simulate", "--points", "10000", "--as", "folder", "--out", "rest"];
+    osteoflow().current_dir(&at).args(simulate).assert().success();
+    let with_stylus = fs::read_to_string(at.join("own_procedure.toml")).unwrap().replace("mine/", "rest/");
+    let (without_stylus, _) = with_stylus.split_once("[[stylus]]").unwrap();
+    let right = fs::read_to_string(at.join("hand_eye.txt")).unwrap();
+    let mut wrong: Vec<String> = right.split_whitespace().map(str::to_owned).collect();
+    wrong[3] = (wrong[3].parse::<f64>().unwrap() + 10.0).to_string();
+    for (name, text) in [
+        ("stylus.toml", &*with_stylus),
+        ("no_stylus.toml", without_stylus),
+        ("right.txt", &*right),
+        ("wrong.txt", &*wrong.join(" ")),
+    ] {
+        fs::write(at.join(name), text).unwrap();
+    }
+    let unknown = ["--set", "verdict.errors.hand_eye_mm=30", "--set", "verdict.errors.hand_eye_deg=10"];
+    for (matrix, procedure, more, expected) in [
+        ("right", "stylus", &[][..], ("trusted", None)),
+        ("wrong", "stylus", &[], ("refused", Some("stylus"))),
+        ("right", "no_stylus", &unknown, ("doubtful", Some("hand_eye"))),
+        ("wrong", "no_stylus", &unknown, ("doubtful", Some("hand_eye"))),
+    ] {
+        let out = format!("{matrix}_{procedure}");
+        let set = |key: &str, value: String| ["--set".to_owned(), format!("{key}={value}")];
+        let sets = [set("recording.path", format!("{procedure}.toml")), set("hand_eye.path", format!("{matrix}.txt"))];
+        let run = osteoflow()
+            .current_dir(&at)
+            .args(["run", "own.toml", "--out", &out])
+            .args(sets.concat())
+            .args(more)
+            .output();
+        let code = if expected.0 == "refused" { 3 } else { 0 };
+        assert_eq!(run.unwrap().status.code(), Some(code), "{out}");
+        let verdict = &json(&at.join(&out).join("results.json"))["verdict"];
+        let first = verdict["reasons"].as_array().and_then(|reasons| reasons.first()?["rule"].as_str());
+        assert_eq!((verdict["answer"].as_str().unwrap(), first), expected, "{out}");
+    }
 }
 
 #[test]
