@@ -16,7 +16,7 @@ fn printed(arguments: &[&str]) -> String {
 }
 
 /// The help of all commands.
-fn help() -> String {
+pub(crate) fn help() -> String {
     let all = printed(&["--help"]);
     let commands = all.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
     let names = commands

@@ -92,6 +92,8 @@ mod sensor;
 mod simulate;
 mod simulated;
 #[cfg(unix)]
+mod site;
+#[cfg(unix)]
 mod size;
 mod slicer_module;
 mod slicer_plans;

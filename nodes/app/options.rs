@@ -60,8 +60,8 @@ pub struct Leave {
 #[derive(Debug, Clone, Default, Args, Deserialize)]
 #[serde(default)]
 pub struct Keep {
-    /// Compute everything: neither load answers from the store nor save them there. The results are the same with and
-    /// without it. OSTEOFLOW_CACHE names the store's folder, or is `off`; OSTEOFLOW_CACHE_MAX_MB limits its size (1 GiB).
+    /// Compute everything, and keep nothing for later commands; the results are the same. OSTEOFLOW_CACHE names the folder where what takes
+    /// long is kept, or is `off`; OSTEOFLOW_CACHE_MAX_MB limits it (1 GiB).
     #[arg(long)]
     pub no_cache: bool,
 }

@@ -22,17 +22,17 @@ pub const PYTHON_HELPER: &str = include_str!("../kinds/payloads/python/osteoflow
 /// Plugins in addition to those of a graph.
 #[derive(Debug, Clone, Default, Args)]
 pub struct Plugins {
-    /// A plugin: a library or Python file with kinds of nodes of your own, such as an ICP. It is loaded in addition to those that a graph
-    /// names, or instead of one with the same file name. May be given again. OSTEOFLOW_PLUGIN_PATH names folders whose plugins are all loaded.
+    /// A plugin: a library or Python file with nodes of your own, such as an ICP. It replaces one of a graph with the same file name. May be
+    /// given again. OSTEOFLOW_PLUGIN_PATH names folders of plugins.
     #[arg(id = "plugins", long = "plugin", value_name = "FILE")]
     pub files: Vec<PathBuf>,
 
-    /// Load no plugins, not even those that a graph, the environment or a recording names. Their kinds of nodes are then unknown.
+    /// Load no plugins, not even those of a graph or a recording.
     #[arg(id = "no_plugins", long = "no-plugins", conflicts_with_all = ["plugins", "python"])]
     pub none: bool,
 
-    /// The Python that runs plugins. Default: the first of OSTEOFLOW_PYTHON, the Python of the active environment (VIRTUAL_ENV), the
-    /// one for which pip installed this command, and python3.
+    /// The Python that runs plugins. Default: OSTEOFLOW_PYTHON, else that of the active environment, else that of pip's command, else
+    /// python3.
     #[arg(long, value_name = "FILE")]
     pub python: Option<PathBuf>,
 

@@ -250,8 +250,7 @@ pub struct RegisterRequest {
     pub out: Option<PathBuf>,
 
     /// Write SOURCE as registered (.ply, .pcd, .csv). The column residual_mm is the distance of each point from the surface, positive
-    /// outside. The column on_bone is 1 for points of the bone and 0 for the others. A point is of the bone if it is in all of --box, --sphere and
-    /// --region, and no farther from the surface than the pairs that were used.
+    /// outside. The column on_bone is 1 for points of the bone, which are in the region, and no farther from the surface than the inliers; else 0.
     #[arg(long, value_name = "FILE")]
     pub write_source: Option<PathBuf>,
 

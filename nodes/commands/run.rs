@@ -50,17 +50,14 @@ pub(crate) struct Run {
     #[command(flatten)]
     archive: ArchiveArgs,
 
-    /// Run again whenever the graph file is saved, or a file that it extends, uses as a module or names in a parameter, or
-    /// when a plugin is rebuilt. A rerun starts from the first changed node; the outputs of all others are kept in memory. It
-    /// writes results.json and manifest.json into a new folder under runs/, or with --out DIR into DIR-2, DIR-3 and so on.
-    /// Ctrl-C ends the watch, with exit code 0 between two runs and 130 during one. With --format json each run is a line of
-    /// JSON. Live sources are refused.
+    /// Run again, from the first changed node on, whenever the graph, a file that it names or a plugin is saved. Each run writes
+    /// results.json and manifest.json into a new folder under runs/, or with --out DIR into DIR-2, DIR-3 and so on. Ctrl-C ends it with
+    /// exit code 0 between two runs, 130 during one. With --format json each run is a line. Live sources are refused.
     #[arg(long, conflicts_with = "inject")]
     watch: bool,
 
-    /// Serve what is recorded while it is recorded: a page for the browser, and a stream for Foxglove and Lichtblick. ADDR is
-    /// HOST:PORT or a PORT of the loopback; default: a free port of the loopback. Both stay after the run, until Ctrl-C. A viewer that
-    /// is slow loses messages of its own and never holds up the run.
+    /// Show the run while it goes on: a page for the browser, and a stream for Foxglove and Lichtblick, until Ctrl-C. ADDR is HOST:PORT or
+    /// a PORT of this machine alone; default: a free one. A slow viewer loses messages and never holds up the run.
     #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "127.0.0.1:0", value_parser = serve::address,
           conflicts_with_all = ["no_record", "watch"])]
     serve: Option<SocketAddr>,

@@ -24,9 +24,8 @@ use steer::{SteerRequest, TwoFiles};
 ///
 /// With GRAPH: runs it, and runs it again whenever its files change, or a parameter or kind is changed on the page, from where the
 /// changes can be written into the file. Each run is a whole one in a folder of its own. With a run or a recording: play, stop, go to
-/// any time. With BONE and SCAN: registers the scan by the shape of the bone alone, as graphs/two_files.toml does, shows how sure it
-/// is, and writes the pose as a run does, with export/ for 3D Slicer. All options of `register` apply to them, but for the files of its
-/// answer.
+/// any time. With BONE and SCAN: registers the scan as graphs/two_files.toml does, and writes the pose as a run does, with export/
+/// for 3D Slicer. All options of `osteoflow register --help` apply to them, but for --repeat, --write-source and --trace.
 ///
 /// Prints the address of a page that needs nothing but this program, and one for Foxglove and Lichtblick. Both end with Ctrl-C.
 /// Only this machine reaches them, and only with the token in the address, which says what its holder may do: see, steer or write.
@@ -87,7 +86,8 @@ fn of_view(arg: Arg) -> Arg {
         // Those that graphs take, too, and those of the page.
         "plugins" | "no_plugins" | "python" | "workers" | "no_cache" => arg,
         "address" | "plan" | "picks" | "serve_public" | "role" | "allow_origin" => arg,
-        _ => arg.requires("source"),
+        // The help of `register` has them.
+        _ => arg.requires("source").hide_long_help(true).hide_short_help(true),
     }
 }
 

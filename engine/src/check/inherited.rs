@@ -34,11 +34,11 @@ impl<'a> Lost<'a> {
         by.source.is_over(&from.at.source).then(|| Self { wire, at: &from.at, why, by: by.clone() })
     }
 
-    /// The warning that `what` is left out.
-    fn warning(&self, what: &str, lost: Option<String>, path: &str) -> Fault {
+    /// The fault that `what` has no producer; whatever is left out for it is a warning.
+    fn fault(&self, what: &str, lost: Option<String>, path: &str) -> Fault {
         let Self { wire, at, why, by } = self;
         let message = format!("{what}: it is wired to \"{wire}\" in {}, but {why}", at.source.name.display());
-        let mut fault = Fault::new(message).at(at, "inherited").also(by, "gone by this").warning().note_if(lost);
+        let mut fault = Fault::new(message).at(at, "inherited").also(by, "gone by this").note_if(lost);
         fault.removes = Some(path.to_owned());
         fault.help(format!("wire another producer to it, or write remove = [\"{path}\"]"))
     }
@@ -58,8 +58,14 @@ impl Check<'_> {
         let path = format!("node.{}.in.{}", parsed_node.name, port.name);
         let without = first_paragraph(port.doc);
         let without = (!without.is_empty()).then(|| format!("the run is without {}: {without}", port.name));
-        self.faults.push(lost.warning(&what, without, &path));
+        self.faults.push(lost.fault(&what, without, &path).warning());
         true
+    }
+
+    /// The fault of an inherited result whose producer is gone. It is never left out by itself: a table would lack its column.
+    pub(super) fn lost_result(&self, entry: &Entry, parsed_nodes: &[ParsedNode<'_>]) -> Option<Fault> {
+        let lost = Lost::of(entry, parsed_nodes, &self.names)?;
+        Some(lost.fault(&format!("result \"{}\" is gone", entry.key), None, &format!("results.{}", entry.key)))
     }
 
     /// Leaves out inherited nodes that a removed or replaced producer no longer feeds, if nothing takes what they give but inherited wires to
@@ -94,7 +100,7 @@ impl Check<'_> {
                 let fed = (!fed.is_empty()).then(|| format!("the run is without what it gives to {}", fed.join(", ")));
                 let what = format!("node \"{}\" is left out", node.name);
                 let by = lost.by.clone();
-                (index, lost.warning(&what, fed, &format!("node.{}", node.name)), by)
+                (index, lost.fault(&what, fed, &format!("node.{}", node.name)).warning(), by)
             })
         })
     }

@@ -125,6 +125,10 @@ impl Check<'_> {
             }
         }
         let (text, at) = wires::named(entry, &owner, "wire", &mut self.faults)?;
+        if let Some(fault) = self.lost_result(entry, parsed_nodes) {
+            self.faults.push(fault);
+            return None;
+        }
         let from = wires::find(text, at, &owner, parsed_nodes, &self.names, &mut self.faults)?;
         Some(Result { key: entry.key.clone(), key_at: entry.key_at.clone(), from, all, optional })
     }

@@ -23,10 +23,7 @@ pub(super) const BUILT_IN: [(&str, &str); 6] = [
         "point_to_mesh",
         "distances to the target's triangles: no sampling error, several times the cost; needs a surface",
     ),
-    (
-        "published",
-        "plain point-to-point under a stop rule that the paper (README) may have used; --set reading=.. chooses it",
-    ),
+    ("published", "point-to-point that stops as in the paper, which can be read in several ways (--set reading=..)"),
 ];
 
 impl RegisterRequest {

@@ -7,31 +7,32 @@ use std::{
     io::{self, IsTerminal, Write},
 };
 
+/// Their heading in the help.
+const EVERY: &str = "In every command";
+
 /// Switches of every command.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct Global {
-    /// Format of the output on stdout.
-    #[arg(long, global = true, value_enum, default_value_t = Format::Text, value_name = "FORMAT")]
+    /// Format of the output on stdout: text for people, or one JSON value and nothing else.
+    #[arg(long, global = true, value_enum, default_value_t = Format::Text, value_name = "FORMAT", help_heading = EVERY)]
     pub(crate) format: Format,
 
     /// Print only results and errors.
-    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    #[arg(short, long, global = true, conflicts_with = "verbose", help_heading = EVERY)]
     pub(crate) quiet: bool,
 
-    /// Print more: tables of nodes and wires; with -vv and -vvv also messages for programmers (OSTEOFLOW_LOG=debug sets their level).
-    #[arg(short, long, global = true, action = ArgAction::Count)]
+    /// Print more: tables of nodes and of what they sent; -vv and -vvv for programmers (or OSTEOFLOW_LOG=debug).
+    #[arg(short, long, global = true, action = ArgAction::Count, help_heading = EVERY)]
     pub(crate) verbose: u8,
 
-    /// When to use colours; auto: on a terminal, unless NO_COLOR is set.
-    #[arg(long, global = true, value_enum, default_value_t = ColorChoice::Auto, value_name = "WHEN")]
+    /// When to use colours; auto: on a terminal, unless the environment has NO_COLOR.
+    #[arg(long, global = true, value_enum, default_value_t = ColorChoice::Auto, value_name = "WHEN", help_heading = EVERY)]
     pub(crate) color: ColorChoice,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Format {
-    /// Text for people.
     Text,
-    /// One JSON value on stdout, and nothing else there.
     Json,
 }
 

@@ -44,15 +44,13 @@ pub(crate) struct Admission {
     #[arg(long)]
     serve_public: bool,
 
-    /// What the printed address lets its holder do, each role what those before it may: see; steer (numbers, switches, words of a choice
-    /// and kinds of the graph, and playing a recording); write (paths below the graph's folder, and saving picks and the graph). Each has
-    /// a token of its own, and see,steer prints two addresses. Default: write, with --serve-public see.
+    /// What the printed address allows, each role what those before it do: see; steer (numbers, switches and kinds, and playing); write
+    /// (paths, and saving picks and the graph). see,steer prints two addresses. Default: write, with --serve-public see.
     #[arg(long, value_name = "ROLE", value_delimiter = ',', value_parser = |word: &str| word.parse::<Role>())]
     role: Vec<Role>,
 
-    /// Let pages of this origin connect, such as https://app.foxglove.dev or https://lichtblick.example, and show the page in a frame,
-    /// as a notebook does; may be given again. They may see; ORIGIN=steer and ORIGIN=write let them do as much as the address that
-    /// they are given. Desktop viewers and the page itself need no such permission.
+    /// Let web pages of this origin connect, such as https://app.foxglove.dev, or show the page in a frame: to see, with =steer or =write to
+    /// do as much as the address. May be given again. Desktop viewers need no permission.
     #[arg(long, value_name = "ORIGIN[=ROLE]")]
     allow_origin: Vec<String>,
 }

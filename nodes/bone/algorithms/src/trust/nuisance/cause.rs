@@ -176,7 +176,7 @@ impl Of {
         match self {
             Self::Ct if has("plan") => [
                 "the bone is as in the CT, and the plan as drawn",
-                "both headers, osteoflow convert --bind or a new CT",
+                "the headers of CT and plan, osteoflow convert --bind or a new CT",
             ],
             Self::Ct => ["the bone is as in the CT", "its header or a new CT"],
             Self::Surface => {
