@@ -11,16 +11,16 @@ const LONG: usize = 32;
 const FOLDER: &str = "docs/begin/";
 /// Maximum number of words of a page of this folder, code and tables included.
 const BEGIN: [(&str, usize); 10] = [
-    ("can-i-trust-it.md", 1120),
-    ("first-week.md", 1740),
+    ("can-i-trust-it.md", 1150),
+    ("first-week.md", 1790),
     ("frames-and-units.md", 1820),
     ("glossary.md", 2120),
     ("own-camera.md", 1080),
     ("pictures.md", 460),
-    ("register.md", 2090),
-    ("viewing.md", 2220),
+    ("register.md", 1960),
+    ("viewing.md", 2280),
     ("when-a-run-fails.md", 2050),
-    ("which-number.md", 1040),
+    ("which-number.md", 1050),
 ];
 /// Maximum number of words of README, changelog, docs and the help of all commands together.
 const ALL: usize = 120_000;
@@ -177,7 +177,7 @@ fn code_links_tables_and_numbers_end_no_sentence_and_a_long_one_is_seen() {
 fn a_page_that_grows_is_new_or_gone_is_a_fault() {
     let mut pages: BTreeMap<_, _> = BEGIN.map(|(name, n)| (format!("{FOLDER}{name}"), n)).into();
     assert!(faults(&pages).is_empty());
-    pages.insert(format!("{FOLDER}register.md"), 2091);
+    pages.insert(format!("{FOLDER}register.md"), 1961);
     pages.insert(format!("{FOLDER}new.md"), 1);
     pages.remove(&format!("{FOLDER}viewing.md"));
     pages.insert(HELP.into(), ALL);
@@ -185,7 +185,7 @@ fn a_page_that_grows_is_new_or_gone_is_a_fault() {
     let n: usize = pages.values().sum::<usize>() - ALL;
     let all = format!("all pages and the help have {n} words");
     let found = faults(&pages);
-    for fault in ["register.md has 2091 words of 2090", "new.md has no number", "viewing.md is gone", &all] {
+    for fault in ["register.md has 1961 words of 1960", "new.md has no number", "viewing.md is gone", &all] {
         assert!(found.iter().any(|said| said.contains(fault)), "{fault}: {found:?}");
     }
     assert_eq!(found.len(), 4, "{found:?}");
