@@ -94,13 +94,13 @@ pub struct RegisterRequest {
     #[arg(long, num_args = 2, value_names = ["TARGET_POINTS", "SOURCE_POINTS"], conflicts_with = "init")]
     pub landmarks: Option<Vec<PathBuf>>,
 
-    /// Start from fiducials that lie off the surface, such as screws, rings or skin markers, in TARGET and as touched in SOURCE's frame. The
-    /// verdict compares them with the registration of the surface. Formats and names are those of --landmarks.
+    /// Start from points that lie off the surface, such as screws, rings or skin markers. The verdict compares them with the registration of
+    /// the surface. Files as of --landmarks.
     #[arg(long, num_args = 2, value_names = ["TARGET_POINTS", "SOURCE_POINTS"], conflicts_with_all = ["init", "landmarks"])]
     pub fiducials: Option<Vec<PathBuf>>,
 
-    /// Named points in TARGET's frame at which the error is predicted, such as a tumour or screws, near the scan or far from it. The verdict
-    /// then compares their mean error with its limit. Formats are those of --landmarks.
+    /// Named points in TARGET's frame at which the error is predicted, such as a tumour. The verdict then compares their mean error with its
+    /// limit. Formats as of --landmarks.
     #[arg(long, value_name = "FILE", conflicts_with = "no_verdict")]
     pub targets: Option<PathBuf>,
 
@@ -118,8 +118,8 @@ pub struct RegisterRequest {
     #[arg(long, value_name = "STAGE.KIND", requires = "plugins", conflicts_with = "method")]
     pub kind: Option<String>,
 
-    /// How the nearest sample of TARGET is found for each point: tree (searched at every step), or cached (searched only where the nearest
-    /// one may have changed). Default: that of the method; osteoflow inspect shows it.
+    /// How the nearest sample of TARGET is found: tree (searched at every step), or cached (only where it may have changed). Default: that of
+    /// the method.
     #[arg(long, value_name = "PAIRING")]
     pub pairing: Option<String>,
 
@@ -147,8 +147,7 @@ pub struct RegisterRequest {
     #[arg(long, value_enum, default_value_t = Stop::Converge, value_name = "WHEN", conflicts_with = "plugins")]
     pub stop: Stop,
 
-    /// If TARGET is a CT: bone is above this value, HU. Default: the value midway between soft tissue and bone in this CT. The
-    /// verdict then names it among its assumptions.
+    /// If TARGET is a CT: bone is above this value, HU. Default: midway between soft tissue and bone in this CT, an assumption of the verdict.
     #[arg(long, value_name = "HU", value_parser = number, allow_hyphen_values = true)]
     pub threshold_hu: Option<f64>,
 
@@ -184,8 +183,8 @@ pub struct RegisterRequest {
     #[arg(long, default_value_t = 150_000, value_name = "N", value_parser = clap::value_parser!(u64).range(100..=10_000_000))]
     pub target_points: u64,
 
-    /// Maximum number of points of SOURCE that are registered. If it has more, only every second, third or n-th is used. 0: no limit. The
-    /// default is enough: more points would move the pose by less than its standard error.
+    /// If SOURCE has more points, only every second, third or n-th is used; 0: all. More than the default would move the pose by less than its
+    /// standard error.
     #[arg(long, default_value_t = 100_000, value_name = "N", value_parser = clap::value_parser!(u64).range(..=100_000_000))]
     pub max_points: u64,
 
@@ -213,9 +212,8 @@ pub struct RegisterRequest {
     #[arg(long, value_name = "X,Y,Z", value_parser = camera, allow_hyphen_values = true)]
     pub camera: Option<Point3<f64>>,
 
-    /// What SOURCE was measured with: structured_light, laser, depth_camera, ultrasound or stylus, or a TOML file with the errors of your
-    /// own sensor, as osteoflow sensor writes it. The verdict then expects these errors. Default: structured_light. The verdict says if the
-    /// residuals look like those of another sensor.
+    /// What SOURCE was measured with, whose errors the verdict then expects: structured_light, laser, depth_camera, ultrasound or stylus, or a
+    /// TOML file that osteoflow sensor writes for your own. Default: structured_light.
     #[arg(long, value_name = "NAME|FILE")]
     pub sensor: Option<PathBuf>,
 
@@ -243,9 +241,8 @@ pub struct RegisterRequest {
     #[arg(long, value_enum, default_value_t = Require::Doubtful, value_name = "ANSWER", conflicts_with = "no_verdict")]
     pub require: Require,
 
-    /// Write the pose. The ending decides the format: .txt (the 4 x 4 matrix), .json (the whole answer), .tfm (for 3D Slicer), or .mrb (a scene
-    /// of 3D Slicer with TARGET, SOURCE and pose); the last two need --space. Without an ending: a folder with .txt, .json, .tfm and the moved
-    /// SOURCE. Nothing is overwritten.
+    /// Write the pose as .txt (the 4 x 4 matrix), .json (the whole answer), .tfm (for 3D Slicer), or .mrb (a scene of 3D Slicer); the last two
+    /// need --space. Without an ending: a folder with .txt, .json, .tfm and the moved SOURCE. Nothing is overwritten.
     #[arg(long, value_name = "FILE|DIR")]
     pub out: Option<PathBuf>,
 

@@ -22,9 +22,8 @@ use steer::{SteerRequest, TwoFiles};
 
 /// Show a graph, a run or a recording in the browser: also a bone and a scan, which are registered there.
 ///
-/// With GRAPH: runs it, and runs it again whenever its files change, or a parameter or kind is changed on the page, from where the
-/// changes can be written into the file. Each run is a whole one in a folder of its own. With a run or a recording: play, stop, go to
-/// any time. With BONE and SCAN: registers the scan as graphs/two_files.toml does, and writes the pose as a run does, with export/
+/// With GRAPH: runs it, and again whenever its files change, or a parameter or kind is changed on the page, which can write the changes
+/// into the file. Each run has a folder of its own. With a run or a recording: play, stop, go to any time. With BONE and SCAN: registers the scan as graphs/two_files.toml does, and writes the pose as a run does, with export/
 /// for 3D Slicer. All options of `osteoflow register --help` apply to them, but for --repeat, --write-source and --trace.
 ///
 /// Prints the address of a page that needs nothing but this program, and one for Foxglove and Lichtblick. Both end with Ctrl-C.
@@ -83,10 +82,9 @@ fn of_view(arg: Arg) -> Arg {
         ),
         // What is about the answer of `register`.
         "repeat" | "write_source" | "trace" => arg.hide(true),
-        // Those that graphs take, too, and those of the page.
+        // Those that graphs take, too, and those of the page. The help of `register` has the others.
         "plugins" | "no_plugins" | "python" | "workers" | "no_cache" => arg,
         "address" | "plan" | "picks" | "serve_public" | "role" | "allow_origin" => arg,
-        // The help of `register` has them.
         _ => arg.requires("source").hide_long_help(true).hide_short_help(true),
     }
 }

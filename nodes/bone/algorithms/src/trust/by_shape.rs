@@ -14,22 +14,13 @@ pub(super) fn shape_reason(evidence: &Evidence, rules: &RuleParams, is_placed: b
     let shape = evidence.shape.as_ref().filter(|shape| shape.apart_mm > rules.max_shape_apart_mm)?;
     let mm = shape.apart_mm;
     if shape.is_better() {
-        let [cause, remedy] = match is_placed {
-            true => [
-                "landmarks exchanged or at the wrong place",
-                "check the landmarks, and that plan and CT are of this bone",
-            ],
-            false => [
-                "a start at the wrong place",
-                "start by the shape alone (register: without --init) or from landmarks, and check that CT and scan are of one bone",
-            ],
-        };
         let reason = format!(
             "by its shape alone the scan fits better {mm:.0} mm away ({:.0} % of it on the surface, against {:.0} %); likely \
-             cause: {cause}",
+             cause: landmarks exchanged, or a start at the wrong place",
             100.0 * shape.support,
             100.0 * shape.judged_support
         );
+        let remedy = "check the landmarks or the start (register: try without --init), and that plan, CT and scan are of one bone";
         return Some(Reason::new("shape", Answer::Refused, reason, remedy));
     }
     let is_clear = shape.clearness >= rules.min_shape_clearness;
