@@ -13,13 +13,13 @@ const FOLDER: &str = "docs/begin/";
 const BEGIN: [(&str, usize); 10] = [
     ("can-i-trust-it.md", 1150),
     ("first-week.md", 1790),
-    ("frames-and-units.md", 1820),
-    ("glossary.md", 2120),
-    ("own-camera.md", 1080),
+    ("frames-and-units.md", 1640),
+    ("glossary.md", 1860),
+    ("own-camera.md", 1040),
     ("pictures.md", 460),
     ("register.md", 1960),
     ("viewing.md", 2280),
-    ("when-a-run-fails.md", 2050),
+    ("when-a-run-fails.md", 1890),
     ("which-number.md", 1050),
 ];
 /// Maximum number of words of README, changelog, docs and the help of all commands together.

@@ -177,7 +177,8 @@ impl Page {
 
     /// A notice that something cannot be shown, with the reason.
     pub(crate) fn missing(&mut self, what: &str, why: &str) {
-        let _ = writeln!(self.body, "<p class=\"missing\"><b>{}</b> is not shown: {}.</p>", escape(what), escape(why));
+        let why = escape(why.trim_end_matches('.'));
+        let _ = writeln!(self.body, "<p class=\"missing\"><b>{}</b> is not shown: {why}.</p>", escape(what));
     }
 
     /// Preformatted text in a collapsed box.
