@@ -31,8 +31,8 @@ pub struct Plugins {
     #[arg(id = "no_plugins", long = "no-plugins", conflicts_with_all = ["plugins", "python"])]
     pub none: bool,
 
-    /// The Python that runs plugins. Default: OSTEOFLOW_PYTHON, else that of the active environment, else that of pip's command, else
-    /// python3.
+    /// The Python that runs plugins. Default: OSTEOFLOW_PYTHON, else that of the active environment, else the one whose pip installed
+    /// this command, else python3.
     #[arg(long, value_name = "FILE")]
     pub python: Option<PathBuf>,
 
