@@ -22,7 +22,7 @@ fn build(repository: &Path, out: &Path, test: &str) -> Option<Output> {
 fn the_site_has_all_pages_and_a_search_and_nothing_dead() {
     let out = tempfile::tempdir().unwrap();
     let test = "the_site_has_all_pages_and_a_search_and_nothing_dead";
-    let Some(output) = build(&root(), out.path(), test) else { return };
+    let Some(output) = build(root(), out.path(), test) else { return };
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&[output.stdout, output.stderr].concat()));
     for page in ["index.html", "docs/begin/can-i-trust-it.html", "docs/nodes/icp.html", "docs/project/size.html"] {
         let text = fs::read_to_string(out.path().join(page)).unwrap();
