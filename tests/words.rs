@@ -12,13 +12,13 @@ const FOLDER: &str = "docs/begin/";
 /// Maximum number of words of a page of this folder, code and tables included.
 const BEGIN: [(&str, usize); 10] = [
     ("can-i-trust-it.md", 1150),
-    ("first-week.md", 1790),
+    ("first-week.md", 1800),
     ("frames-and-units.md", 1640),
     ("glossary.md", 1860),
     ("own-camera.md", 1040),
     ("pictures.md", 460),
-    ("register.md", 1960),
-    ("viewing.md", 2280),
+    ("register.md", 1970),
+    ("viewing.md", 2320),
     ("when-a-run-fails.md", 1890),
     ("which-number.md", 1050),
 ];
@@ -177,7 +177,7 @@ fn code_links_tables_and_numbers_end_no_sentence_and_a_long_one_is_seen() {
 fn a_page_that_grows_is_new_or_gone_is_a_fault() {
     let mut pages: BTreeMap<_, _> = BEGIN.map(|(name, n)| (format!("{FOLDER}{name}"), n)).into();
     assert!(faults(&pages).is_empty());
-    pages.insert(format!("{FOLDER}register.md"), 1961);
+    pages.insert(format!("{FOLDER}register.md"), 1971);
     pages.insert(format!("{FOLDER}new.md"), 1);
     pages.remove(&format!("{FOLDER}viewing.md"));
     pages.insert(HELP.into(), ALL);
@@ -185,7 +185,7 @@ fn a_page_that_grows_is_new_or_gone_is_a_fault() {
     let n: usize = pages.values().sum::<usize>() - ALL;
     let all = format!("all pages and the help have {n} words");
     let found = faults(&pages);
-    for fault in ["register.md has 1961 words of 1960", "new.md has no number", "viewing.md is gone", &all] {
+    for fault in ["register.md has 1971 words of 1970", "new.md has no number", "viewing.md is gone", &all] {
         assert!(found.iter().any(|said| said.contains(fault)), "{fault}: {found:?}");
     }
     assert_eq!(found.len(), 4, "{found:?}");

@@ -60,8 +60,8 @@ pub struct Leave {
 #[derive(Debug, Clone, Default, Args, Deserialize)]
 #[serde(default)]
 pub struct Keep {
-    /// Compute everything, and keep nothing for later commands; the results are the same. OSTEOFLOW_CACHE names the folder where what takes
-    /// long is kept, or is `off`; OSTEOFLOW_CACHE_MAX_MB limits it (1 GiB).
+    /// Compute everything, and keep nothing for later commands; the results are the same. The environment variable OSTEOFLOW_CACHE names the
+    /// folder of kept results, or is `off`; OSTEOFLOW_CACHE_MAX_MB is its largest size (default 1024).
     #[arg(long)]
     pub no_cache: bool,
 }

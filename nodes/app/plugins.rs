@@ -22,8 +22,8 @@ pub const PYTHON_HELPER: &str = include_str!("../kinds/payloads/python/osteoflow
 /// Plugins in addition to those of a graph.
 #[derive(Debug, Clone, Default, Args)]
 pub struct Plugins {
-    /// A plugin: a library or Python file with nodes of your own, such as an ICP. It replaces one of a graph with the same file name. May be
-    /// given again. OSTEOFLOW_PLUGIN_PATH names folders of plugins.
+    /// A plugin: a library or Python file with nodes of your own, such as an ICP. It replaces a graph's plugin with the same file name. May
+    /// be given again. The environment variable OSTEOFLOW_PLUGIN_PATH names folders of plugins.
     #[arg(id = "plugins", long = "plugin", value_name = "FILE")]
     pub files: Vec<PathBuf>,
 

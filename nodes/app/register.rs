@@ -118,8 +118,8 @@ pub struct RegisterRequest {
     #[arg(long, value_name = "STAGE.KIND", requires = "plugins", conflicts_with = "method")]
     pub kind: Option<String>,
 
-    /// How the nearest sample of TARGET is found: tree (searched at every step), or cached (only where it may have changed). Default: that of
-    /// the method.
+    /// How the nearest sample of TARGET is found for each point: tree (searched at every step), or cached (only for points whose nearest one
+    /// may have changed, with the same result). Default: that of the method.
     #[arg(long, value_name = "PAIRING")]
     pub pairing: Option<String>,
 
@@ -135,7 +135,7 @@ pub struct RegisterRequest {
     #[arg(long, value_name = "MM", value_parser = number)]
     pub step_mm: Option<f64>,
 
-    /// Converged only if the last turn, too, is below this, rad.
+    /// Converged only if the last step also turned by less than this, rad.
     #[arg(long, value_name = "RAD", value_parser = number)]
     pub step_rad: Option<f64>,
 
@@ -147,7 +147,7 @@ pub struct RegisterRequest {
     #[arg(long, value_enum, default_value_t = Stop::Converge, value_name = "WHEN", conflicts_with = "plugins")]
     pub stop: Stop,
 
-    /// If TARGET is a CT: bone is above this value, HU. Default: midway between soft tissue and bone in this CT, an assumption of the verdict.
+    /// If TARGET is a CT: bone is above this value, HU. Default: midway between soft tissue and bone; the verdict then assumes it.
     #[arg(long, value_name = "HU", value_parser = number, allow_hyphen_values = true)]
     pub threshold_hu: Option<f64>,
 
@@ -183,8 +183,7 @@ pub struct RegisterRequest {
     #[arg(long, default_value_t = 150_000, value_name = "N", value_parser = clap::value_parser!(u64).range(100..=10_000_000))]
     pub target_points: u64,
 
-    /// If SOURCE has more points, only every second, third or n-th is used; 0: all. More than the default would move the pose by less than its
-    /// standard error.
+    /// If SOURCE has more points, only every second, third or n-th is used; 0: all. More would move the pose by less than its standard error.
     #[arg(long, default_value_t = 100_000, value_name = "N", value_parser = clap::value_parser!(u64).range(..=100_000_000))]
     pub max_points: u64,
 
@@ -212,7 +211,7 @@ pub struct RegisterRequest {
     #[arg(long, value_name = "X,Y,Z", value_parser = camera, allow_hyphen_values = true)]
     pub camera: Option<Point3<f64>>,
 
-    /// What SOURCE was measured with, whose errors the verdict then expects: structured_light, laser, depth_camera, ultrasound or stylus, or a
+    /// The device that measured SOURCE; the verdict expects its errors: structured_light, laser, depth_camera, ultrasound or stylus, or a
     /// TOML file that osteoflow sensor writes for your own. Default: structured_light.
     #[arg(long, value_name = "NAME|FILE")]
     pub sensor: Option<PathBuf>,
@@ -247,7 +246,7 @@ pub struct RegisterRequest {
     pub out: Option<PathBuf>,
 
     /// Write SOURCE as registered (.ply, .pcd, .csv). The column residual_mm is the distance of each point from the surface, positive
-    /// outside. The column on_bone is 1 for points of the bone, which are in the region, and no farther from the surface than the inliers; else 0.
+    /// outside. The column on_bone is 1 for points of the bone (in all regions that were given, and no farther from the surface than the inliers), else 0.
     #[arg(long, value_name = "FILE")]
     pub write_source: Option<PathBuf>,
 

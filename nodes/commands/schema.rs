@@ -5,7 +5,7 @@ use clap::Args;
 use osteoflow_engine::schema;
 use std::io::Write;
 
-/// Write a file by which a text editor completes and checks graphs or plans: a JSON Schema.
+/// Write a JSON Schema, by which a text editor completes keys and marks faults in graphs or plans.
 ///
 /// That of the graph is generated from the descriptions of the nodes. A TOML language server (taplo, Even Better TOML) finds it by the
 /// first line of a graph: #:schema PATH, relative to the graph.

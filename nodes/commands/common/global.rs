@@ -13,7 +13,7 @@ const EVERY: &str = "In every command";
 /// Switches of every command.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct Global {
-    /// Format of stdout: text for people, the default, or json, one value and nothing else.
+    /// Format of stdout: text for people (the default), or json: one JSON value and nothing else.
     #[arg(long, global = true, value_enum, default_value_t = Format::Text, value_name = "FORMAT", help_heading = EVERY,
           hide_default_value = true, hide_possible_values = true)]
     pub(crate) format: Format,
@@ -26,7 +26,7 @@ pub(crate) struct Global {
     #[arg(short, long, global = true, action = ArgAction::Count, help_heading = EVERY)]
     pub(crate) verbose: u8,
 
-    /// Use colours: always, never, or auto, the default: on a terminal, unless the environment has NO_COLOR.
+    /// Use colours: always, never, or on a terminal (auto, the default), unless the environment variable NO_COLOR is set.
     #[arg(long, global = true, value_enum, default_value_t = ColorChoice::Auto, value_name = "WHEN", help_heading = EVERY,
           hide_default_value = true, hide_possible_values = true)]
     pub(crate) color: ColorChoice,

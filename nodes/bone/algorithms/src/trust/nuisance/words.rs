@@ -87,12 +87,12 @@ pub(super) fn assumptions(
             let mut sizes: Vec<String> = own.into_iter().map(sizes).collect();
             let last = sizes.pop()?;
             let or = if sizes.is_empty() { "" } else { " or " };
-            Some(format!("{}{or}{last} would {does}", sizes.join(", ")))
+            Some(format!("{does}: {}{or}{last}", sizes.join(", ")))
         };
         let moved_mm = limits.max_tre_mm.min(limits.max_offset_mm);
         let parts = [
-            part(own.iter().filter(tilts).collect(), format!("tilt a cut by {} degrees", limits.max_tilt_deg)),
-            part(own.iter().filter(|unseen| !tilts(unseen)).collect(), format!("move the targets by {moved_mm} mm")),
+            part(own.iter().filter(tilts).collect(), format!("Tilts a cut by {} degrees", limits.max_tilt_deg)),
+            part(own.iter().filter(|unseen| !tilts(unseen)).collect(), format!("Moves the targets by {moved_mm} mm")),
         ];
         let parts: Vec<String> = parts.into_iter().flatten().collect();
         let has = |name: &str| own.iter().any(|unseen| unseen.cause.name == name);
@@ -100,7 +100,7 @@ pub(super) fn assumptions(
         let beyond = beyond(axes, at).filter(|_| has("beyond"));
         let beyond = beyond.map(|places| format!(", also {places}")).unwrap_or_default();
         let danger = own.iter().map(|unseen| unseen.danger).sum::<f64>();
-        let text = format!("{taken}{beyond}: {}; {shown} shows it", parts.join(", and "));
+        let text = format!("{taken}{beyond}. {}. Shown by: {shown}", parts.join(". "));
         (!own.is_empty()).then_some((danger, of == Of::Devices, text))
     };
     let mut all: Vec<(f64, bool, String)> = Of::ALL.into_iter().filter_map(of).collect();
