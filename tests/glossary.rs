@@ -1,6 +1,6 @@
 //! docs/begin/glossary.md: each of its words is used, and the words of the program's own in help, answers and graphs are in it.
 
-use crate::common::{osteoflow, root};
+use crate::common::{commands, osteoflow, root};
 use std::{collections::BTreeSet, fs};
 
 /// The words of the glossary, as written.
@@ -17,12 +17,8 @@ fn printed(arguments: &[&str]) -> String {
 
 /// The help of all commands.
 pub(crate) fn help() -> String {
-    let all = printed(&["--help"]);
-    let commands = all.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
-    let names = commands
-        .filter(|line| line.starts_with("  ") && !line.starts_with("   "))
-        .filter_map(|line| line.split_whitespace().next());
-    names.filter(|name| *name != "help").map(|name| printed(&[name, "--help"])).collect::<String>() + &all
+    let of_one = commands().into_iter().map(|(name, _)| printed(&[&name, "--help"]));
+    of_one.collect::<String>() + &printed(&["--help"])
 }
 
 /// Pages of the documentation, without the glossary.

@@ -64,11 +64,11 @@ fn a_dead_link_anchor_picture_or_path_and_a_page_out_of_the_index_fail_it() {
     ] {
         fs::write(&glossary, format!("{text}\n{more}\n")).unwrap();
         let output = run().unwrap();
-        let said = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(!output.status.success() && said.contains(fault), "{more}: {said}");
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success() && stderr.contains(fault), "{more}: {stderr}");
     }
     fs::write(&glossary, text).unwrap();
     fs::write(glossary.with_file_name("alone.md"), "# Alone\n").unwrap();
-    let said = String::from_utf8(run().unwrap().stderr).unwrap();
-    assert!(said.contains("alone.md: it is not in the index"), "{said}");
+    let stderr = String::from_utf8(run().unwrap().stderr).unwrap();
+    assert!(stderr.contains("alone.md: it is not in the index"), "{stderr}");
 }

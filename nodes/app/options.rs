@@ -61,7 +61,7 @@ pub struct Leave {
 #[serde(default)]
 pub struct Keep {
     /// Compute everything, and keep nothing for later commands; the results are the same. The environment variable OSTEOFLOW_CACHE names the
-    /// folder of kept results, or is `off`; OSTEOFLOW_CACHE_MAX_MB is its largest size (default 1024).
+    /// folder of kept results, or is `off`; OSTEOFLOW_CACHE_MAX_MB is its largest size (default 1 GiB).
     #[arg(long)]
     pub no_cache: bool,
 }

@@ -246,7 +246,7 @@ pub struct RegisterRequest {
     pub out: Option<PathBuf>,
 
     /// Write SOURCE as registered (.ply, .pcd, .csv). The column residual_mm is the distance of each point from the surface, positive
-    /// outside. The column on_bone is 1 for points of the bone (in all regions that were given, and no farther from the surface than the inliers), else 0.
+    /// outside. The column on_bone is 1 for points of the bone (in the given regions, no farther off than the inliers), else 0.
     #[arg(long, value_name = "FILE")]
     pub write_source: Option<PathBuf>,
 

@@ -23,8 +23,9 @@ use steer::{SteerRequest, TwoFiles};
 /// Show a graph, a run or a recording in the browser: also a bone and a scan, which are registered there.
 ///
 /// With GRAPH: runs it, and again whenever its files change, or a parameter or kind is changed on the page, which can write the changes
-/// into the file. Each run has a folder of its own. With a run or a recording: play, stop, go to any time. With BONE and SCAN: registers the scan as graphs/two_files.toml does, and writes the pose as a run does, with export/
-/// for 3D Slicer. All options of `osteoflow register --help` apply to them, but for --repeat, --write-source and --trace.
+/// into the file. Each run has a folder of its own. With a run or a recording: play, stop, go to any time. With BONE and SCAN: registers
+/// the scan as graphs/two_files.toml does, and writes the pose, with export/ for 3D Slicer. All options of `osteoflow register --help`
+/// apply to them, but for --repeat, --write-source and --trace.
 ///
 /// Prints the address of a page that needs nothing but this program, and one for Foxglove and Lichtblick. Both end with Ctrl-C.
 /// Only this machine reaches them, and only with the token in the address, which says what its holder may do: see, steer or write.

@@ -38,8 +38,7 @@ impl<'a> Lost<'a> {
     fn fault(&self, what: &str, lost: Option<String>, path: &str) -> Fault {
         let Self { wire, at, why, by } = self;
         let message = format!("{what}: it is wired to \"{wire}\" in {}, but {why}", at.source.name.display());
-        let mut fault = Fault::new(message).at(at, "inherited").also(by, "gone by this").note_if(lost);
-        fault.removes = Some(path.to_owned());
+        let fault = Fault::new(message).at(at, "inherited").also(by, "gone by this").note_if(lost);
         fault.help(format!("wire another producer to it, or write remove = [\"{path}\"]"))
     }
 }

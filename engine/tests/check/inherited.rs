@@ -24,8 +24,13 @@ in   = { a = "file.out", b = { from = "spare.other", capacity = 8 } }
 
 /// The faults and warnings of a graph that extends the base, with settings, and its wires.
 fn said(text: &str, sets: &[&str]) -> (Vec<Fault>, Vec<String>) {
+    checked(BASE, text, sets)
+}
+
+/// The same for another base.
+fn checked(base: &str, text: &str, sets: &[&str]) -> (Vec<Fault>, Vec<String>) {
     let dir = tempfile::tempdir().unwrap();
-    fs::write(dir.path().join("base.toml"), BASE).unwrap();
+    fs::write(dir.path().join("base.toml"), base).unwrap();
     let path = dir.path().join("graph.toml");
     fs::write(&path, format!("extends = \"base.toml\"\n{text}")).unwrap();
     let sets: Vec<String> = sets.iter().map(|set| (*set).to_owned()).collect();
@@ -74,6 +79,22 @@ fn a_node_that_feeds_optional_inputs_alone_is_left_out_with_what_fed_it() {
     assert!(messages[1].starts_with("node \"last\": input \"b\" is left unwired: it is wired to \"step.out\""));
     assert!(messages[2].starts_with("node \"end\": input \"b\" is left unwired: it is wired to \"spare.other\""));
     assert_eq!(wires, ["file.out -> last.a", "file.out -> end.a"]);
+}
+
+#[test]
+fn an_inherited_result_of_a_replaced_producer_says_how_to_go_on_and_is_never_left_out_by_itself() {
+    let base = format!("{BASE}[results]\n\"a.spare\" = \"spare.other\"\n");
+    let sets = ["spare.kind=from.live", "step.in.a=spare.out"];
+    let (faults, _) = checked(&base, "", &sets);
+    let errors: Vec<_> = faults.iter().filter(|fault| fault.severity == Severity::Error).collect();
+    let [error] = errors[..] else { panic!("{faults:?}") };
+    assert!(error.message.starts_with("result \"a.spare\" is gone: it is wired to \"spare.other\" in "), "{error}");
+    assert!(error.message.ends_with("base.toml, but from.live has no output \"other\""), "{error}");
+    assert_eq!(error.help, ["wire another producer to it, or write remove = [\"results.a.spare\"]"]);
+    // What a program removes by itself, as the page does for parameters of another kind.
+    assert_eq!(error.removes, None);
+    let (warnings, wires) = checked(&base, "", &[&sets[..], &["remove=[\"results.a.spare\"]"]].concat());
+    assert!(warnings.iter().all(|fault| fault.severity == Severity::Warning) && !wires.is_empty(), "{warnings:?}");
 }
 
 #[test]

@@ -7,7 +7,7 @@ use std::{
     io::{self, IsTerminal, Write},
 };
 
-/// Their heading in the help.
+/// The heading of these switches in the help.
 const EVERY: &str = "In every command";
 
 /// Switches of every command.
